@@ -1,0 +1,1 @@
+"""Ultra-tight GNSS/INS coupling at signal level: the receiver's mind, and the runs."""

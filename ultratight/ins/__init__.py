@@ -1,0 +1,1 @@
+"""Inertial navigation: Earth, attitude, trajectories, sensors, strapdown, error state."""

@@ -1,0 +1,1 @@
+"""Closing the loop: measurement models and the receivers that steer the NCOs."""
