@@ -7,6 +7,8 @@ against float64 over the whole range.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from signals.compiled import kernel
@@ -27,8 +29,8 @@ _LN2 = _F(0.6931472)
 _SQRT_HALF_BITS = 0x3F3504F3
 
 
-@kernel
-def cos_sin(phase, extra):
+@kernel(inline="always")
+def cos_sin(phase: Any, extra: Any) -> tuple[Any, Any]:
     """cos and sin of 2 pi phase / 2^32 + extra; error below 1e-7.
 
     ``phase`` is an integer of which the low 32 bits count, ``extra`` a small float32 angle [rad].
@@ -44,8 +46,8 @@ def cos_sin(phase, extra):
     return (-cosine if (quadrant + 1) & 2 else cosine), (-sine if quadrant & 2 else sine)
 
 
-@kernel
-def log(u):
+@kernel(inline="always")
+def log(u: Any) -> Any:
     """Natural logarithm of a positive, normal float32; relative error below 3e-7."""
     bits = _F(u).view(np.int32) - _SQRT_HALF_BITS
     t = np.int32((bits & 0x7FFFFF) + _SQRT_HALF_BITS).view(np.float32) - _ONE

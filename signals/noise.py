@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+from typing import Any
 
 import numpy as np
 
@@ -49,8 +50,8 @@ _UNIT = _F(2.0**-32)
 _HALF, _MINUS_TWO, _ZERO = _F(0.5), _F(-2.0), _F(0.0)
 
 
-@kernel
-def philox(c0, c1, c2, c3, k0, k1):
+@kernel(inline="always")
+def philox(c0: Any, c1: Any, c2: Any, c3: Any, k0: Any, k1: Any) -> tuple[Any, Any, Any, Any]:
     """Four random 32-bit words of a counter (c0..c3) and a key (k0, k1): Philox4x32-10.
 
     32-bit words are held in uint64, so that no product overflows and plain Python agrees.
@@ -69,8 +70,8 @@ def philox(c0, c1, c2, c3, k0, k1):
     return c0, c1, c2, c3
 
 
-@kernel
-def _box_muller(w0, w1):
+@kernel(inline="always")
+def _box_muller(w0: Any, w1: Any) -> tuple[Any, Any]:
     """Two float32 normals of two words; the 32-bit uniform in the log reaches 6.7 sigma."""
     u = (_F(np.uint32(w0)) + _HALF) * _UNIT
     radius = _F(math.sqrt(max(_MINUS_TWO * log(u), _ZERO)))
@@ -79,7 +80,7 @@ def _box_muller(w0, w1):
 
 
 @kernel
-def complex_gaussian_cell(key, cell, i, q):
+def complex_gaussian_cell(key: np.ndarray, cell: int, i: np.ndarray, q: np.ndarray) -> None:
     """Unit normals of samples cell * CELL ... + CELL - 1 into float32 ``i`` and ``q`` (CELL,)."""
     k0, k1 = np.uint64(key[0]), np.uint64(key[1])
     half = i.shape[0] // 2
@@ -94,7 +95,7 @@ def complex_gaussian_cell(key, cell, i, q):
 
 
 @kernel
-def complex_gaussian(key, n0, out):
+def complex_gaussian(key: np.ndarray, n0: int, out: np.ndarray) -> None:
     """Unit complex normals of samples n0 ... n0 + n - 1 into ``out`` (n, 2) float32: I, Q.
 
     ``key`` is (2,) uint32 (`stream_key`); I and Q have variance 1 each.
@@ -110,7 +111,7 @@ def complex_gaussian(key, n0, out):
 
 
 @kernel
-def normals(key0, key1, c0, c1, c2, c3_base, out):
+def normals(key0: int, key1: int, c0: int, c1: int, c2: int, c3_base: int, out: np.ndarray) -> None:
     """Standard normals into ``out`` (n,) float64, keyed by (key0, key1; c0, c1, c2, c3_base).
 
     Four per counter: element m comes from c3 = c3_base + m // 4.  Counter words are taken modulo
