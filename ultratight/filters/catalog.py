@@ -1,0 +1,140 @@
+"""The papers' names mapped to recipes: a rule, how often relinearised, is the model believed.
+
+``make_filter("fiqkf-r")`` gives what the receiver calls once per epoch.  A filter of one's own
+needs no base class: anything with `Filter.step` and `Filter.reset` serves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+from ultratight.filters.fading import AS_PRINTED, BLOCK, CLAMPED, Fading, FadingOptions
+from ultratight.filters.gaussian import (
+    Filter,
+    Gaussian,
+    Measurement,
+    Prediction,
+    Update,
+    predict,
+    update,
+)
+from ultratight.filters.interval import IntervalQ, intersect_boxes, intersect_printed
+from ultratight.filters.rules import get_rule
+
+__all__ = [
+    "CATALOG",
+    "Filter",
+    "Gaussian",
+    "Measurement",
+    "Prediction",
+    "Recipe",
+    "RecipeFilter",
+    "Update",
+    "make_filter",
+]
+
+XU = "Xu, Zeng & Huang, Geom. Inf. Sci. Wuhan Univ. 42(12), 2017"
+OURS = "regularised form of " + XU
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """A filter in words; every field is an answer to one question."""
+
+    description: str
+    source: str
+    rule: str = "gh7"  # row of `rules.RULES`
+    iterations: int = 1  # at most so many linearisations per update
+    fading: FadingOptions | None = None
+    intersect: Callable[[Gaussian, Update], Update] | None = None  # applied to the update
+    interval_q: IntervalQ | None = None  # applied before the prediction
+
+
+_QKF = "quadrature filter, Gauss-Hermite in the projected space of each channel"
+_INTQ = "bounds on scale factor and latency as covariance"
+CATALOG: dict[str, Recipe] = {
+    "kf": Recipe("extended Kalman filter", "Groves, 2nd ed., ch. 3 and 14", "linearised"),
+    "qkf": Recipe(f"{_QKF}, 7 points", XU),
+    "qkf3": Recipe(f"{_QKF}, 3 points", XU, "gh3"),
+    "qkf5": Recipe(f"{_QKF}, 5 points", XU, "gh5"),
+    "qkf7": Recipe(f"{_QKF}, 7 points", XU, "gh7"),
+    "ckf": Recipe(
+        "third-degree cubature in R^n", "Arasaratnam & Haykin, IEEE TAC 54 (2009)", "cubature"
+    ),
+    "ukf": Recipe(
+        "unscented in R^n, kappa = 3 - n; S may be indefinite", "Julier & Uhlmann (1997)",
+        "unscented",
+    ),
+    "fiqkf": Recipe(
+        "as printed: all-state fading, no gate, interval (40)-(42); diverges at 50 Hz", XU,
+        fading=AS_PRINTED, intersect=intersect_printed,
+    ),
+    "fiqkf-fading": Recipe(
+        "fading as printed, without the interval part; diverges at 50 Hz", XU, fading=AS_PRINTED
+    ),
+    "qkf-interval-printed": Recipe(
+        "interval (40)-(42) alone: a halved gain", XU, intersect=intersect_printed
+    ),
+    "fiqkf-r": Recipe(
+        "fading of position, velocity, clock and phases behind a 3-sigma gate", OURS, fading=BLOCK
+    ),
+    "fiqkf-c": Recipe(
+        "fading of all states behind the gate, variances clamped at the first", OURS,
+        fading=CLAMPED,
+    ),
+    "fiqkf-r-box": Recipe(
+        "fiqkf-r with the 3-sigma boxes of prior and posterior intersected", OURS,
+        fading=BLOCK, intersect=intersect_boxes,
+    ),
+    "fikf-r": Recipe("extended Kalman filter with the fading of fiqkf-r", OURS, "linearised",
+                     fading=BLOCK),
+    "kf-intq": Recipe(f"extended Kalman filter, {_INTQ}", OURS, "linearised",
+                      interval_q=IntervalQ()),
+    "qkf-intq": Recipe(f"quadrature filter, {_INTQ}", OURS, interval_q=IntervalQ()),
+    "fiqkf-r-intq": Recipe(f"fiqkf-r, {_INTQ}", OURS, fading=BLOCK, interval_q=IntervalQ()),
+}  # fmt: skip
+"""Name -> recipe"""
+
+
+class RecipeFilter:
+    """A recipe at work; its only memory is the fading factor's."""
+
+    def __init__(self, recipe: Recipe) -> None:
+        self.recipe = recipe
+        self.rule = get_rule(recipe.rule)
+        self.fading = None if recipe.fading is None else Fading(recipe.fading)
+
+    def reset(self) -> None:
+        """Forget the innovations seen."""
+        if self.fading is not None:
+            self.fading.reset()
+
+    def step(self, state: Gaussian, prediction: Prediction, measurement: Measurement) -> Update:
+        """Widen, predict, update (twice where P is inflated), intersect."""
+        recipe = self.recipe
+        if recipe.interval_q is not None:
+            state, prediction = recipe.interval_q.apply(state, prediction)
+        if self.fading is not None:
+            prior, result = self.fading.step(
+                state, prediction, measurement, self.rule, recipe.iterations
+            )
+        else:
+            prior = predict(state, prediction.phi, prediction.q)
+            result = update(prior, measurement, self.rule, recipe.iterations)
+        return result if recipe.intersect is None else recipe.intersect(prior, result)
+
+
+def make_filter(name: str, **changes: Any) -> Filter:
+    """The filter of that name, one per run; ``changes`` replace fields of its `Recipe`.
+
+    >>> make_filter("qkf-intq", iterations=3, interval_q=IntervalQ(scale_factor=5e-3))
+    """
+    if name not in CATALOG:
+        raise ValueError(f"filter: {name!r}, expected one of {', '.join(CATALOG)}")
+    try:
+        return RecipeFilter(replace(CATALOG[name], **changes))
+    except TypeError as error:
+        fields = ", ".join(Recipe.__dataclass_fields__)
+        raise ValueError(f"filter {name!r}: {error}; expected fields {fields}") from None

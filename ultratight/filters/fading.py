@@ -1,0 +1,259 @@
+"""Fading factor: is P too small for the innovations seen?  Inflate it by lambda >= 1.
+
+Xu, Zeng & Huang, Geomatics and Information Science of Wuhan University 42(12), 2017, section 3:
+
+    V0 = (rho V0 + nu nu') / (1 + rho)                                  remembered innovations
+    P(lambda) = P1 + Q + (lambda - 1) B,   P1 = Phi P Phi',   M = H B H'
+
+with B = P1 as printed (all states).  The paper says "minimise g = sum (P_xz - K V0)^2" but
+prints no formula for lambda.  Three readings:
+
+    (i)   gain frozen at lambda = 1 and P_xz(lambda) = lambda P_xz0 (its (31)):
+          lambda = <P_xz0, K0 V0> / <P_xz0, P_xz0>: closed form, 1 when V0 = S0.  In use here.
+    (ii)  gain follows lambda.  V0 has an effective rank of about 3 (its memory is
+          (1 + q) / (1 - q) = 2.9 epochs, q = rho / (1 + rho)), so that I - S^-1 V0 is almost a
+          projector and g grows with |P_xz(lambda)|: lambda = 1 always.  Kept as a negative result.
+    (iii) fit S(lambda) to V0: lambda = 1 + <M, V0 - S0> / <M, M>.
+
+Since E[max(1, lambda)] > 1 in steady flight too, states that are not observed grow as
+lambda^(1/T) per second and the printed form diverges at 50 Hz.  Two regularised forms, both with
+a gate on the sum of V0_qq - S_qq over rows with information: inflate only what the satellites
+observe at once (B = E P1 E, FIQKF-R), or inflate all but clamp every variance at its first value.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from signals.compiled import FAST_SUM, kernel
+from ultratight.filters.gaussian import Gaussian, Measurement, Prediction, Update, predict, update
+from ultratight.filters.rules import Rule
+
+OBSERVED = ("r", "v", "cb", "cd", "phase")
+"""The block of FIQKF-R: attitude and biases are left alone"""
+
+
+@dataclass(frozen=True)
+class FadingOptions:
+    """Which form of the fading factor; the default is FIQKF-R."""
+
+    blocks: tuple[str, ...] | None = OBSERVED  # names of the layout that are inflated; None: all
+    gate: float = 3.0  # sigmas of the gate; 0: no gate
+    clamp: bool = False  # keep inflated variances at or below their first value
+    start_s: float = 1.0  # no inflation before [s since reset]
+    rho: float = 0.95  # forgetting constant of V0
+    information_row: int = 1  # row of a block (Q of I, Q, S) that counts as informative always
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.rho <= 1.0:
+            raise ValueError(f"rho: {self.rho}, expected 0 < rho <= 1")
+        if self.gate < 0.0 or self.start_s < 0.0:
+            raise ValueError(f"gate, start_s: {self.gate}, {self.start_s}, expected >= 0")
+
+
+AS_PRINTED = FadingOptions(blocks=None, gate=0.0, start_s=0.0)
+BLOCK = FadingOptions()
+CLAMPED = FadingOptions(blocks=None, clamp=True)
+
+
+class Fading:
+    """The memory of one run: V0 over all channels, time since reset, first variances.
+
+    ``step`` is predict and update with lambda; ``reset`` drops V0 and the clock of ``start_s``.
+    The first variances (the clamp) survive it, since the hand-over to another measurement model
+    is no new start; states that it appends bring their own.
+    """
+
+    def __init__(self, options: FadingOptions = BLOCK) -> None:
+        self.options = options
+        self.first_variance = np.zeros(0)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the innovations."""
+        self.V0 = np.zeros((0, 0))
+        self.seen = np.zeros(0, dtype=np.bool_)
+        self.elapsed_s = 0.0
+        self._inflated = np.zeros(0)
+
+    def step(
+        self,
+        state: Gaussian,
+        prediction: Prediction,
+        measurement: Measurement,
+        rule: Rule,
+        iterations: int = 1,
+    ) -> tuple[Gaussian, Update]:
+        """The prior in use, P(lambda), and the update made from it."""
+        options = self.options
+        self._prepare(state, prediction, measurement)
+        prior = predict(state, prediction.phi, prediction.q)
+        plain = update(prior, measurement, rule, iterations)
+        self.elapsed_s += prediction.T
+        if plain.innovation.size == 0:
+            return prior, plain
+        k = measurement.z.shape[1]
+        rows = (measurement.channel[:, None] * k + np.arange(k)).ravel()
+        V = _remember(self.V0, self.seen, rows, plain.innovation, options.rho)
+        if self.elapsed_s <= options.start_s:
+            return prior, plain
+        row = min(options.information_row, k - 1)
+        lam = _fading_factor(
+            prior.cov, prediction.q, self._inflated, plain.H, plain.S, plain.gain, V, k, row,
+            options.gate, 1.0 / (1.0 + options.rho),
+        )  # fmt: skip
+        if not lam > 1.0:
+            return prior, plain
+        ceiling = self.first_variance if options.clamp else np.zeros(0)
+        cov = _inflate(prior.cov, prediction.q, self._inflated, lam, ceiling)
+        prior = Gaussian(prior.mean, cov)
+        return prior, update(prior, measurement, rule, iterations)._replace(lam=lam)
+
+    def _prepare(self, state: Gaussian, prediction: Prediction, measurement: Measurement) -> None:
+        """Size the memory at the first step after a reset; ValueError where it does not fit."""
+        n, n_row = state.mean.size, prediction.n_channel * measurement.z.shape[1]
+        known = self.first_variance.size
+        if known < n:
+            self.first_variance = np.append(self.first_variance, np.diag(state.cov)[known:])
+        if self._inflated.size == 0:
+            self._inflated = block_mask(prediction.layout, self.options.blocks, n)
+            self.V0, self.seen = np.zeros((n_row, n_row)), np.zeros(n_row, dtype=np.bool_)
+        if self._inflated.size != n or self.seen.size != n_row:
+            raise ValueError(
+                f"fading memory: {self._inflated.size} states, {self.seen.size} rows; got {n}, "
+                f"{n_row}: call reset() when the state or the measurement changes"
+            )
+
+
+def block_mask(layout: Any, blocks: tuple[str, ...] | None, n: int) -> np.ndarray:
+    """1.0 for the states of the named blocks of a layout, 0.0 elsewhere; all 1.0 for None."""
+    if blocks is None:
+        return np.ones(n)
+    mask = np.zeros(n)
+    for name in blocks:
+        mask[getattr(layout, name)] = 1.0
+    return mask
+
+
+def reading_i(P_xz: np.ndarray, S: np.ndarray, V0: np.ndarray) -> float:
+    """lambda = <P_xz, K V0> / <P_xz, P_xz>, K = P_xz S^-1; not limited to >= 1."""
+    return float(np.sum(P_xz * (np.linalg.solve(S, P_xz.T).T @ V0)) / np.sum(P_xz**2))
+
+
+def reading_ii(P1: np.ndarray, Q: np.ndarray, H: np.ndarray, noise: np.ndarray,
+               V0: np.ndarray, largest: float = 1e3) -> float:  # fmt: skip
+    """The lambda in [1, largest] of least |P_xz(lambda) (I - S(lambda)^-1 V0)|, by 1-D search.
+
+    ``noise`` (m, m) is Omega + R, held fixed.  Grid of 200 in log lambda, refined once.
+    """
+
+    def g(lam: float) -> float:
+        P_xz = (lam * P1 + Q) @ H.T
+        S = H @ P_xz + noise
+        return float(np.sum((P_xz - np.linalg.solve(S, P_xz.T).T @ V0) ** 2))
+
+    grid = np.geomspace(1.0, largest, 200)
+    best = int(np.argmin([g(lam) for lam in grid]))
+    fine = np.linspace(grid[max(best - 1, 0)], grid[min(best + 1, 199)], 400)
+    return float(fine[np.argmin([g(lam) for lam in fine])])
+
+
+def reading_iii(M: np.ndarray, S: np.ndarray, V0: np.ndarray) -> float:
+    """lambda = 1 + <M, V0 - S> / <M, M>: the least-squares fit of S(lambda) to V0."""
+    return 1.0 + float(np.sum(M * (V0 - S)) / np.sum(M**2))
+
+
+# ---------------------------------------------------------------------------------- kernels
+
+
+@kernel
+def _remember(V0, seen, rows, nu, rho):
+    """Refresh the rows present in V0 (in place) and return their part (m, m).
+
+    A pair with a row never seen starts at nu nu' in place of the recursion.
+    """
+    m = rows.size
+    V = np.empty((m, m))
+    for a in range(m):
+        for b in range(m):
+            i, j = rows[a], rows[b]
+            fresh = nu[a] * nu[b]
+            if seen[i] and seen[j]:
+                fresh = (rho * V0[i, j] + fresh) / (1.0 + rho)
+            V[a, b] = fresh
+            V0[i, j] = fresh
+    for a in range(m):
+        seen[rows[a]] = True
+    return V
+
+
+@kernel(fastmath=FAST_SUM)
+def _gate_is_open(cov, q, inflated, H, S, V, k, row, sigmas, a):
+    """sum (V_qq - S_qq) > sigmas sqrt(2 sum S_qq^2 a / (2 - a)) over rows with information."""
+    m, n = H.shape
+    M = np.zeros(m)
+    for i in range(m):
+        for c in range(n):
+            g = H[i, c] * inflated[c]
+            if g != 0.0:
+                for e in range(n):
+                    M[i] += g * (cov[c, e] - q[c, e]) * H[i, e] * inflated[e]
+    excess, spread = 0.0, 0.0
+    for i in range(m):
+        reference = i - i % k + row
+        if i == reference or M[i] > 1e-3 * M[reference]:
+            excess += V[i, i] - S[i, i]
+            spread += S[i, i] ** 2
+    return excess > sigmas * np.sqrt(2.0 * spread * a / (2.0 - a))
+
+
+@kernel(fastmath=FAST_SUM)
+def _fading_factor(cov, q, inflated, H, S, gain, V, k, row, sigmas, a):
+    """Reading (i) over the inflated states, at least 1; 1 while the gate is closed."""
+    if sigmas > 0.0 and not _gate_is_open(cov, q, inflated, H, S, V, k, row, sigmas, a):
+        return 1.0
+    m, n = H.shape
+    above, below = 0.0, 0.0
+    P_xz, KV = np.empty(m), np.empty(m)
+    for c in range(n):
+        if inflated[c] == 0.0:
+            continue
+        P_xz[:] = 0.0
+        KV[:] = 0.0
+        for r in range(m):
+            g = gain[c, r]
+            for i in range(m):
+                P_xz[i] += g * S[r, i]
+                KV[i] += g * V[r, i]
+        for i in range(m):
+            above += P_xz[i] * KV[i]
+            below += P_xz[i] * P_xz[i]
+    if not above > below:
+        return 1.0
+    return above / below
+
+
+@kernel
+def _inflate(cov, q, inflated, lam, ceiling):
+    """P + (lambda - 1) E (P - Q) E; with a ceiling (n,) rows and columns are scaled down to it.
+
+    A variance above the ceiling before inflation keeps its value.
+    """
+    n = cov.shape[0]
+    P = np.empty((n, n))
+    for i in range(n):
+        for j in range(n):
+            P[i, j] = cov[i, j] + (lam - 1.0) * inflated[i] * inflated[j] * (cov[i, j] - q[i, j])
+    if ceiling.size > 0:
+        scale = np.ones(n)
+        for i in range(n):
+            top = max(ceiling[i], cov[i, i])
+            if P[i, i] > top:
+                scale[i] = np.sqrt(top / P[i, i])
+        for i in range(n):
+            for j in range(n):
+                P[i, j] *= scale[i] * scale[j]
+    return P
