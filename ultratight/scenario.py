@@ -1,0 +1,410 @@
+"""Scenario: a validated, frozen description of a world, its receiver and how long they run.
+
+Units stand in the names of the keys (`config` says what is wrong with a file).  A scenario holds
+no seed: the same scenario is run with many.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping
+from fractions import Fraction
+from importlib.resources import files
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, model_validator
+
+from signals.constants import CA_CHIP_RATE_HZ
+from ultratight import config
+from ultratight.config import InvalidInput, Unsupported
+
+__all__ = ["PRESETS", "InvalidInput", "Scenario", "Unsupported", "load", "preset_text"]
+
+Positive = Annotated[float, Field(gt=0.0)]
+NotNegative = Annotated[float, Field(ge=0.0)]
+Vector3 = tuple[float, float, float]
+Dbhz = Annotated[float, Field(ge=0.0, le=70.0)]
+Prn = Annotated[int, Field(ge=1, le=210)]
+Ppm = Annotated[float, Field(ge=-1e5, le=1e5)]
+Acceleration = Annotated[float, Field(ge=-10_000.0, le=10_000.0)]
+TurnRate = Annotated[float, Field(ge=-360.0, le=360.0)]
+
+PRESETS = ("jump-1", "jump-2", "jump-3", "jump-4", "uniform", "accelerated", "static")
+"""Scenarios that ship, as ``ultratight/presets/NAME.toml``"""
+CONSTELLATIONS = ("embedded", "nominal-24")
+"""Skies that need no file"""
+_KEYS_ONLY = "keys only"
+"""Validation context: leave out the rules between keys"""
+SPEED_LIMIT_MPS = 12_000.0
+"""No vehicle of ours is faster than escape velocity"""
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _lists_are_tuples(cls, data: Any) -> Any:
+        return {k: _frozen(v) for k, v in data.items()} if isinstance(data, Mapping) else data
+
+
+def _frozen(value: Any) -> Any:
+    return tuple(_frozen(item) for item in value) if isinstance(value, list | tuple) else value
+
+
+class Segment(_Table):
+    """A stretch of the speed profile: acceleration along the velocity and turn rate, both linear.
+
+    Outside all segments both are zero.
+    """
+
+    t0_s: NotNegative
+    t1_s: Positive
+    accel0_mps2: Acceleration = 0.0
+    accel1_mps2: Acceleration = 0.0
+    turn_rate0_deg_s: TurnRate = 0.0
+    turn_rate1_deg_s: TurnRate = 0.0
+
+
+class Channel(_Table):
+    """What the path does to the signals."""
+
+    cn0_by_prn_dbhz: dict[Annotated[str, Field(pattern=r"^G\d{2,3}$")], Dbhz] = {}
+    """Satellites that differ from ``cn0_dbhz``: {"G07": 40.0}"""
+    cn0_profile_s_db: tuple[tuple[float, Annotated[float, Field(ge=-70, le=70)]], ...] = ()
+    """(t_s, offset in dB on every satellite), linear between the points, constant outside"""
+
+
+class Imu(_Table):
+    """The inertial sensors; a key that is left out is as the grade has it."""
+
+    grade: str = "industrial-mems"
+    rate_hz: Annotated[float, Field(ge=10.0, le=10_000.0)] = 200.0
+    lever_arm_b_m: Vector3 = (0.0, 0.0, 0.0)
+    """From the IMU to the antenna, forward-right-down"""
+    accel_bias_mg: NotNegative | None = None
+    """Turn-on, 1 sigma"""
+    accel_bias_in_run_ug: NotNegative | None = None
+    accel_bias_tau_s: Positive | None = None
+    velocity_random_walk_mps_sqrt_s: NotNegative | None = None
+    accel_scale_factor_ppm: tuple[Ppm, Ppm, Ppm] | None = None
+    """A fixed error per axis"""
+    accel_scale_factor_alternates: bool = False
+    """The fixed error is taken with + for odd seeds and - for even ones"""
+    accel_scale_factor_sigma_ppm: Annotated[float, Field(ge=0.0, le=1e5)] | None = None
+    """Drawn per axis and run, on top of the fixed error"""
+    misalignment_mrad: Annotated[float, Field(ge=0.0, le=100.0)] | None = None
+    lag_s: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
+    saturation_g: Positive | None = None
+    gyro_bias_deg_h: NotNegative | None = None
+    """Turn-on, 1 sigma"""
+    gyro_bias_in_run_deg_h: NotNegative | None = None
+    gyro_bias_tau_s: Positive | None = None
+    angle_random_walk_rad_sqrt_s: NotNegative | None = None
+    gyro_scale_factor_ppm: Annotated[float, Field(ge=0.0, le=1e5)] | None = None
+    gyro_g_dependence_deg_h_g: NotNegative | None = None
+
+
+class Clock(_Table):
+    """The receiver's oscillator."""
+
+    model: str = "tcxo"
+    bias_m: Annotated[float, Field(ge=-3e8, le=3e8)] = 300.0
+    drift_mps: Annotated[float, Field(ge=-30_000.0, le=30_000.0)] = 30.0
+    g_sensitivity_ppb_per_g: Annotated[float, Field(ge=-100.0, le=100.0)] = 0.0
+
+
+class FrontEnd(_Table):
+    """How IF samples are taken: complex, signal at ``if_hz``."""
+
+    sample_rate_hz: Annotated[float, Field(gt=0.0, le=200e6)] = 4.0e6
+    if_hz: float = 0.0
+    sample_format: Literal["int8", "float32"] = "int8"
+
+
+class Correlator(_Table):
+    """How taps are made: from samples, or in closed form ("model")."""
+
+    kind: Literal["model", "samples"] = "model"
+    spacing_chips: Annotated[float, Field(gt=0.0, le=1.0)] = 0.25
+    """Early and late replica: distance from the prompt one"""
+    multiple_access: bool = False
+    """Closed form only: add the noise that the other satellites' codes make"""
+
+
+class Knows(_Table):
+    """What the receiver is told before it starts, and how well (1 sigma)."""
+
+    bit_edges: bool = True
+    data_bits: bool = True
+    ephemerides: bool = True
+    initial_state: bool = True
+    position_sigma_m: Positive = 5.0
+    velocity_sigma_mps: Positive = 0.5
+    tilt_sigma_mrad: Positive = 1.5
+    heading_sigma_mrad: Positive = 3.0
+    clock_sigma_m: Positive = 10.0
+    clock_rate_sigma_mps: Positive = 0.5
+    cn0_sigma_db: NotNegative = 1.0
+
+
+class ProcessNoise(_Table):
+    """What the filter believes of IMU and clock; a key left out is the true data sheet's value."""
+
+    velocity_random_walk_mps_sqrt_s: NotNegative | None = None
+    angle_random_walk_rad_sqrt_s: NotNegative | None = None
+    accel_bias_in_run_ug: NotNegative | None = None
+    gyro_bias_in_run_deg_h: NotNegative | None = None
+    clock_model: str | None = None
+
+
+class Receiver(_Table):
+    """Who closes the loop, with which filter and measurement, and what it knows."""
+
+    closure: Literal["ultra-tight", "scalar", "scalar-ins"] = "ultra-tight"
+    filter: str = "fiqkf-r"
+    measurement: Literal["coherent", "differential"] = "coherent"
+    epoch_s: Annotated[float, Field(ge=0.001, le=1.0)] = 0.02
+    hand_over_s: NotNegative = 2.0
+    """A coherent receiver starts with differential measurements and changes over at this time"""
+    fall_back: bool = True
+    """To differential measurements on loss of lock, and back after ``hand_over_s``"""
+    integration_s: Annotated[float, Field(ge=0.001, le=0.02)] = 0.02
+    """Scalar closures: coherent integration once pulled in"""
+    bandwidth_hz: Annotated[float, Field(gt=0.0, le=100.0)] = 18.0
+    """Scalar closures: noise bandwidth of the PLL"""
+    fll_bandwidth_hz: Annotated[float, Field(ge=0.0, le=100.0)] = 2.0
+    dll_bandwidth_hz: Annotated[float, Field(gt=0.0, le=20.0)] = 1.0
+    knows: Knows = Knows()
+    process_noise: ProcessNoise = ProcessNoise()
+
+
+class Scenario(_Table):
+    """A world and its receiver.  Every key has one home and one unit; see the classes above."""
+
+    name: Annotated[str, Field(min_length=1)]
+    title: str = ""
+    """One line: what happens"""
+    why: str = ""
+    """One line: why it exists"""
+    duration_s: Annotated[float, Field(gt=0.0, le=86_400.0)]
+    start_week: Annotated[int, Field(ge=0, le=10_000)] = 2149
+    start_tow_s: Annotated[float, Field(ge=0.0, lt=604_800.0)] = 475_220.0
+    position_lla_deg_m: tuple[
+        Annotated[float, Field(ge=-90.0, le=90.0)],
+        Annotated[float, Field(ge=-180.0, le=180.0)],
+        Annotated[float, Field(ge=-1_000.0, le=2_000_000.0)],
+    ] = (39.9, 116.4, 8_000.0)
+    heading_deg: Annotated[float, Field(ge=-360.0, le=360.0)] = 0.0
+    speed_mps: Annotated[float, Field(ge=-SPEED_LIMIT_MPS, le=SPEED_LIMIT_MPS)] = 0.0
+    mask_deg: Annotated[float, Field(ge=-5.0, lt=90.0)] = 10.0
+    cn0_dbhz: Dbhz = 35.0
+    constellation: Annotated[str, Field(min_length=1)] = "embedded"
+    """"embedded" (GPS, 2021-03-19), "nominal-24" or a RINEX navigation file"""
+    max_satellites: Annotated[int, Field(ge=1, le=210)] | None = None
+    """The highest ones are kept"""
+    prns: tuple[Prn, ...] | None = None
+    """Satellites to keep; all by default"""
+    profile: tuple[Segment, ...] = ()
+    channel: Channel = Channel()
+    imu: Imu = Imu()
+    clock: Clock = Clock()
+    front_end: FrontEnd = FrontEnd()
+    correlator: Correlator = Correlator()
+    receiver: Receiver = Receiver()
+
+    @model_validator(mode="after")
+    def _consistent(self, info: ValidationInfo) -> Scenario:
+        found = [] if info.context == _KEYS_ONLY else [m for _, m in _contradictions(self)]
+        if found:
+            raise ValueError("; ".join(found))
+        return self
+
+    @classmethod
+    def from_dict(cls, tree: Mapping[str, Any], source: str = "") -> Scenario:
+        """Validate nested plain data.  `InvalidInput` lists every problem at once."""
+        try:
+            return cls.model_validate(tree)
+        except ValidationError as error:
+            found = _all_problems(tree, error)
+        raise InvalidInput([f"{source}: {line}" if source else line for line in found])
+
+    @classmethod
+    def from_toml(cls, text: str, source: str = "scenario") -> Scenario:
+        """A whole scenario (without ``extends``) from TOML text."""
+        return cls.from_dict(config.parse_toml(text, source), source)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Nested plain data: dicts, lists, texts, numbers; keys that are None are left out."""
+        return self.model_dump(mode="json", exclude_none=True)
+
+    def to_toml(self) -> str:
+        """The resolved scenario, every key written out; `from_toml` gives it back."""
+        return config.write_toml(self.to_dict())
+
+    def digest(self) -> str:
+        """SHA-256 of the resolved scenario as canonical JSON."""
+        text = json.dumps(self.to_dict(), sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    def replace(self, changes: Mapping[str, Any] | Iterable[str]) -> Scenario:
+        """A validated copy with dotted changes: {"imu.lag_s": 0.01} or ["imu.lag_s=0.01"]."""
+        return self.from_dict(config.merge(self.to_dict(), config.nest(changes)))
+
+    def warnings(self) -> list[str]:
+        """Lines about what is allowed and seldom wanted."""
+        return _commensurate(self.front_end.sample_rate_hz)
+
+
+# -- rules between keys ---------------------------------------------------------------------------
+
+
+def _contradictions(s: Scenario) -> list[tuple[tuple[str, ...], str]]:
+    """(keys concerned, what is wrong) for every rule that joins several keys."""
+    front_end, receiver, found = s.front_end, s.receiver, []
+    rate, epoch = front_end.sample_rate_hz, receiver.epoch_s
+
+    def refuse(keys: str, given: object, expected: str) -> None:
+        names = tuple(keys.split())
+        found.append((names, f"{names[0]}: {given} given, expected {expected}"))
+
+    if rate < CA_CHIP_RATE_HZ:
+        refuse(
+            "front_end.sample_rate_hz", f"{rate:g}", f"at least the chip rate {CA_CHIP_RATE_HZ:g}"
+        )
+    if abs(front_end.if_hz) >= rate / 2:
+        refuse(
+            "front_end.if_hz front_end.sample_rate_hz",
+            f"{front_end.if_hz:g}",
+            f"less than half the sample rate ({rate / 2:g}) in magnitude",
+        )
+    if not _is_multiple(s.duration_s, epoch):
+        refuse(
+            "duration_s receiver.epoch_s", f"{s.duration_s:g}", f"a multiple of epoch_s = {epoch:g}"
+        )
+    if not _is_multiple(epoch, 1.0 / s.imu.rate_hz):
+        refuse(
+            "receiver.epoch_s imu.rate_hz",
+            f"{epoch:g}",
+            f"a multiple of the IMU interval {1.0 / s.imu.rate_hz:g} s",
+        )
+    if receiver.measurement == "coherent" and not receiver.knows.data_bits:
+        refuse(
+            "receiver.measurement receiver.knows.data_bits",
+            '"coherent" without receiver.knows.data_bits',
+            'data_bits = true, or "differential"',
+        )
+    times = [t for t, _ in s.channel.cn0_profile_s_db]
+    if any(b <= a for a, b in zip(times, times[1:], strict=False)):
+        refuse("channel.cn0_profile_s_db", config.show(times), "times that grow")
+    if s.prns is not None and len(set(s.prns)) < len(s.prns):
+        refuse("prns", config.show(s.prns), "each satellite once")
+    return found + _profile_contradictions(s)
+
+
+def _profile_contradictions(s: Scenario) -> list[tuple[tuple[str, ...], str]]:
+    found: list[tuple[tuple[str, ...], str]] = []
+    end, speed, fastest = 0.0, s.speed_mps, abs(s.speed_mps)
+    for i, leg in enumerate(s.profile):
+        if leg.t1_s <= leg.t0_s:
+            text = f"profile[{i}].t1_s: {leg.t1_s:g} given, expected more than t0_s = {leg.t0_s:g}"
+            found.append((("profile",), text))
+        if leg.t0_s < end:
+            text = (
+                f"profile[{i}].t0_s: {leg.t0_s:g} given, expected {end:g} or more (order, overlap)"
+            )
+            found.append((("profile",), text))
+        if leg.t1_s > s.duration_s:
+            text = f"profile[{i}].t1_s: {leg.t1_s:g} given, expected at most duration_s"
+            found.append((("profile", "duration_s"), f"{text} = {s.duration_s:g}"))
+        end = max(end, leg.t1_s)
+        length, a0, a1 = leg.t1_s - leg.t0_s, leg.accel0_mps2, leg.accel1_mps2
+        if a0 * a1 < 0.0:  # the extreme speed is where the acceleration crosses zero
+            fastest = max(fastest, abs(speed + a0 * a0 / (a0 - a1) * length / 2.0))
+        speed += (a0 + a1) / 2.0 * length
+        fastest = max(fastest, abs(speed))
+    if not found and fastest > SPEED_LIMIT_MPS:
+        text = f"profile: reaches {fastest:g} m/s, expected at most {SPEED_LIMIT_MPS:g} m/s"
+        found.append((("profile", "speed_mps"), text))
+    return found
+
+
+def _is_multiple(value: float, step: float) -> bool:
+    return round(value / step) >= 1 and abs(value / step - round(value / step)) < 1e-6
+
+
+def _commensurate(sample_rate_hz: float) -> list[str]:
+    """Samples per chip p/q with q <= 10 put the chip edges on the sample grid at q phases only.
+
+    Close counts: the pattern must move by less than half its own step (1/q sample) in one code
+    period.  A delay is then seen in steps of 1/q sample, until Doppler moves the pattern.
+    """
+    per_chip = sample_rate_hz / CA_CHIP_RATE_HZ
+    ratio = Fraction(per_chip).limit_denominator(10)
+    if abs(per_chip - ratio) * 1023.0 >= 0.5 / ratio.denominator:
+        return []
+    return [
+        f"front_end.sample_rate_hz: {sample_rate_hz:g} is {ratio} samples per chip: the chip edges "
+        f"meet the sample grid at {ratio.denominator} phase(s) only, which biases code delay; "
+        "4e6 (4000/1023) does not"
+    ]
+
+
+def _all_problems(tree: Mapping[str, Any], error: ValidationError) -> list[str]:
+    """Problems of single keys, and of the rules between the keys that are sound in themselves."""
+    bad = [[str(p) for p in item["loc"] if isinstance(p, str)] for item in error.errors()]
+    bad = [location for location in bad if location]
+    found = config.problems(Scenario, error) if bad else []
+    sound: dict[str, Any] = dict(tree)
+    for location in bad:
+        sound = config.without(sound, location)
+    if bad:
+        sound = {"name": "-", "duration_s": 1.0} | sound
+    try:
+        partial = Scenario.model_validate(sound, context=_KEYS_ONLY)
+    except ValidationError:
+        return found
+    names = [".".join(location) for location in bad]
+    return found + [
+        message
+        for keys, message in _contradictions(partial)
+        if not any(name == key or name.startswith(f"{key}.") for key in keys for name in names)
+    ]
+
+
+# -- presets and files ----------------------------------------------------------------------------
+
+
+def preset_text(name: str) -> str:
+    """The TOML text of a preset as it ships."""
+    return (files("ultratight") / "presets" / f"{name}.toml").read_text(encoding="utf-8")
+
+
+def load(name_or_path: str | Path, overrides: Mapping[str, Any] | Iterable[str] = ()) -> Scenario:
+    """A preset or a TOML file, with dotted overrides laid over it.
+
+    A file may say ``extends = "jump-1"`` (a preset, or a file relative to itself) and give only
+    what differs: tables merge key by key, lists are replaced.  A navigation file is looked for
+    relative to the file that names it.  Raises `InvalidInput` with every problem found.
+    """
+    tree = config.merge(
+        config.resolved(str(name_or_path), PRESETS, preset_text, _relative_to),
+        config.nest(overrides),
+    )
+    source = "" if str(name_or_path) in PRESETS else str(name_or_path)
+    scenario = Scenario.from_dict(tree, source)
+    if scenario.constellation not in CONSTELLATIONS and not Path(scenario.constellation).is_file():
+        raise InvalidInput(
+            f'constellation: "{scenario.constellation}" given, expected "embedded", "nominal-24" '
+            "or a RINEX navigation file (there is no such file)"
+        )
+    return scenario
+
+
+def _relative_to(folder: Path, tree: dict[str, Any]) -> dict[str, Any]:
+    sky = tree.get("constellation")
+    if isinstance(sky, str) and sky and sky not in CONSTELLATIONS:
+        return tree | {"constellation": str(folder / sky)}
+    return tree
