@@ -1,0 +1,42 @@
+"""A replica inside a cell of samples: fixed-point phases that are exact to 1e-7 cycles or chips.
+
+Generator and correlator both re-base their phases in float64 at the start of each cell and run
+on integers inside it: every sample's phase is one multiplication away, in any vector lane.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from signals.compiled import kernel
+from signals.elementary import TURN
+
+
+def replica_table(chips: np.ndarray) -> np.ndarray:
+    """Two code periods and a chip (n_channel, 2 length + 1) float32: no wrap inside a cell."""
+    return np.ascontiguousarray(np.hstack([chips, chips, chips[:, :1]]), np.float32)
+
+
+# ---- kernels ---------------------------------------------------------------------------------
+
+
+@kernel
+def carrier_steps(start: float, middle: float, end: float, n: int) -> tuple[Any, Any, Any]:
+    """Integer phase and step [cycles 2^32] over n samples, and the bend for `cos_sin`'s extra.
+
+    With phases [cycles] at samples 0, n / 2 and n: phase(j) = chord + bend j (n - j).
+    """
+    base = np.int64((start - math.floor(start)) * TURN)
+    step = np.int64(np.rint((end - start) / n * TURN))
+    bend = 8.0 * math.pi * (middle - 0.5 * (start + end)) / (float(n) * float(n))
+    return base, step, np.float32(bend)
+
+
+@kernel
+def code_steps(start: float, end: float, n: int, length: int) -> tuple[Any, Any]:
+    """Fixed-point code phase modulo ``length`` and step [chips 2^32] over n samples."""
+    base = np.uint64((start - math.floor(start / length) * length) * TURN)
+    return base, np.uint64(np.rint((end - start) / n * TURN))
