@@ -210,33 +210,32 @@ def _cubic(c: np.ndarray, dt: float) -> float:
     return c[0] + dt * (c[1] + dt * (c[2] + dt * c[3]))
 
 
+@kernel
+def _fill_chips(chip: np.ndarray, code_base: Any, code_step: Any, table: np.ndarray) -> None:
+    """Chips under n samples into ``chip`` (n,).  Alone, as LLVM keeps a lookup loop scalar."""
+    for j in range(chip.shape[0]):
+        chip[j] = table[(code_base + np.uint64(j) * code_step) >> _32]
+
+
 @kernel(fastmath=FAST_SUM)
-def _add_segment(
-    i: np.ndarray,
-    q: np.ndarray,
-    amplitude: np.float32,
-    base: int,
-    step: int,
-    bend: np.float32,
-    code_base: np.uint64,
-    code_step: np.uint64,
-    table: np.ndarray,
+def _add_carrier(
+    i: np.ndarray, q: np.ndarray, chip: np.ndarray, amplitude: Any, base: int, step: int, bend: Any
 ) -> None:
-    """Add amplitude x code x carrier to float32 i, q (n,)."""
+    """Add amplitude x chip x carrier to float32 i, q (n,)."""
     n = i.shape[0]
     last = _F(n)
     for j in range(n):
-        chip = table[(code_base + np.uint64(j) * code_step) >> _32]
         x = _F(np.int32(j))
         c, s = cos_sin(base + j * step, bend * x * (last - x))
-        i[j] += amplitude * chip * c
-        q[j] += amplitude * chip * s
+        i[j] += amplitude * chip[j] * c
+        q[j] += amplitude * chip[j] * s
 
 
 @kernel
 def _add_piece(
     i: np.ndarray,
     q: np.ndarray,
+    chip: np.ndarray,
     n: int,
     t0_s: float,
     sample_rate_hz: float,
@@ -272,22 +271,22 @@ def _add_piece(
         code_base, code_step = code_steps(x_a, x0 + slope * b, b - a, length)
         # the first sample may lie a rounding error before the first symbol
         data = symbols[min(max(symbol - first_symbol, 0), symbols.shape[0] - 1)]
-        _add_segment(
-            i[a:b], q[a:b], _F(amplitude * data), base, step, bend, code_base, code_step, table
-        )
+        chips = chip[: b - a]
+        _fill_chips(chips, code_base, code_step, table)
+        _add_carrier(i[a:b], q[a:b], chips, _F(amplitude * data), base, step, bend)
         a = b
 
 
 @kernel
 def _store(i: np.ndarray, q: np.ndarray, out: np.ndarray) -> None:
-    """Planar float32 (n,) to interleaved float32 or int8 (n, 2)."""
-    for j in range(out.shape[0]):
+    """Planar float32 (n,) to interleaved float32 or int8 (2 n,)."""
+    for j in range(i.shape[0]):
         if out.itemsize == 1:
-            out[j, 0] = np.int8(min(max(np.rint(i[j]), _F(-127.0)), _F(127.0)))
-            out[j, 1] = np.int8(min(max(np.rint(q[j]), _F(-127.0)), _F(127.0)))
+            out[2 * j] = np.int8(min(max(np.rint(i[j]), _F(-127.0)), _F(127.0)))
+            out[2 * j + 1] = np.int8(min(max(np.rint(q[j]), _F(-127.0)), _F(127.0)))
         else:
-            out[j, 0] = i[j]
-            out[j, 1] = q[j]
+            out[2 * j] = i[j]
+            out[2 * j + 1] = q[j]
 
 
 @kernel
@@ -311,7 +310,8 @@ def _generate(
 ) -> None:
     """Samples n0 ... n0 + n - 1 into ``out`` (n, 2), by whole cells."""
     n1 = n0 + out.shape[0]
-    i, q = np.empty(CELL, np.float32), np.empty(CELL, np.float32)
+    i, q, chip = np.empty(CELL, _F), np.empty(CELL, _F), np.empty(CELL, _F)
+    flat = out.reshape(-1)
     piece = 0
     for cell in range(n0 // CELL, (n1 + CELL - 1) // CELL):
         start = cell * CELL
@@ -331,6 +331,7 @@ def _generate(
                     _add_piece(
                         i[a:b],
                         q[a:b],
+                        chip,
                         start + a,
                         t_s[p],
                         sample_rate_hz,
@@ -346,4 +347,6 @@ def _generate(
                     )
             p += 1
         a, b = max(n0, start), min(n1, start + CELL)
-        _store(i[a - start : b - start], q[a - start : b - start], out[a - n0 : b - n0])
+        _store(
+            i[a - start : b - start], q[a - start : b - start], flat[2 * (a - n0) : 2 * (b - n0)]
+        )
