@@ -268,7 +268,7 @@ def _add_piece(
             _cubic(carrier, dt_b) + if_a + if_step,
             b - a,
         )
-        code_base, code_step = code_steps(x_a, x0 + slope * b, b - a, length)
+        code_base, code_step = code_steps(x_a, slope, length)
         # the first sample may lie a rounding error before the first symbol
         data = symbols[min(max(symbol - first_symbol, 0), symbols.shape[0] - 1)]
         chips = chip[: b - a]

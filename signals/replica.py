@@ -36,7 +36,7 @@ def carrier_steps(start: float, middle: float, end: float, n: int) -> tuple[Any,
 
 
 @kernel
-def code_steps(start: float, end: float, n: int, length: int) -> tuple[Any, Any]:
-    """Fixed-point code phase modulo ``length`` and step [chips 2^32] over n samples."""
+def code_steps(start: float, per_sample: float, length: int) -> tuple[Any, Any]:
+    """Fixed-point code phase modulo ``length`` and its step per sample [chips 2^32]."""
     base = np.uint64((start - math.floor(start / length) * length) * TURN)
-    return base, np.uint64(np.rint((end - start) / n * TURN))
+    return base, np.uint64(np.rint(per_sample * TURN))

@@ -1,0 +1,342 @@
+"""Correlation at sample level: carrier wipe-off, delayed replicas, integrate and dump.
+
+Over an integration of N samples the tap at offset d (chips) is
+
+    X_d = 1 / (sigma sqrt(N)) sum_n z_n exp(-j 2 pi (f_IF n / fs + carrier(n / fs)))
+                                    C(floor(code(n / fs) - d) mod length)                     (1)
+
+with carrier and code as the `Nco` commands them.  An integration begins and ends at the first
+sample whose NCO code phase is not below a multiple of ``dump_chips``; bounds are thus exact to
+the sample at any ratio of sampling and chip rate (4 MHz is 4000 samples per 1023 chips).
+
+The work is done in cells of at most `CELL` samples from the start of each piece of the command:
+phases come anew in float64, sums inside a cell are float32, across cells float64.
+"""
+
+from __future__ import annotations
+
+import math
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+
+from signals.compiled import FAST_SUM, kernel
+from signals.elementary import cos_sin
+from signals.front_end import GUARD_SAMPLES, first_sample_at
+from signals.nco import Nco, Taps
+from signals.noise import CELL
+from signals.recording import IfSource
+from signals.replica import carrier_steps, code_steps, replica_table
+
+_BLOCK = 64 * CELL  # samples taken from the source at a time
+
+
+class SampleCorrelator:
+    """Taps of equation (1) from the samples of ``source``; a `Correlator`.
+
+    Open sums persist between calls.  A command that does not begin where the last one ended, an
+    invalid channel, a change of ``dump_chips`` and a code phase that leaves the integration under
+    way by more than half its length drop them; smaller steps of the code phase neither repeat nor
+    skip an integration.  The first integration begins at the first multiple of ``dump_chips``.
+
+    Parameters
+    ----------
+    source : samples, see `IfSource`.
+    chips : (n_channel, length) int8 of +-1, length >= 1023.
+    offset_chips : (n_tap,) delay of each replica: negative is early, positive is late.
+    workers : threads, each with its share of the channels; the bits do not depend on them.
+
+    Raises
+    ------
+    ValueError : shapes that disagree; when called, a command outside the samples, a chip rate that
+        is not positive or above the sampling rate, an integration below one chip.
+    """
+
+    def __init__(
+        self, source: IfSource, chips: np.ndarray, offset_chips: np.ndarray, *, workers: int = 1
+    ) -> None:
+        self.offset_chips = np.ascontiguousarray(offset_chips, dtype=np.float64)
+        if self.offset_chips.ndim != 1 or not np.all(np.isfinite(self.offset_chips)):
+            raise ValueError(f"offset_chips is {offset_chips}: expected finite (n_tap,)")
+        if np.ndim(chips) != 2 or chips.shape[1] < CELL - 1:
+            raise ValueError(
+                f"chips are {np.shape(chips)}: expected (n_channel, length), length >= {CELL - 1}"
+            )
+        self._source, self._length = source, int(chips.shape[1])
+        self._table = replica_table(chips)
+        n_channel, n_tap = len(chips), self.offset_chips.size
+        self._position = np.zeros((n_channel, 5), np.int64)
+        self._start = np.zeros((n_channel, 2))
+        self._sums = np.zeros((n_channel, n_tap, 2))
+        self._planar = np.empty((2, _BLOCK), np.float32)
+        self._end_sample = -1
+        self._shares = np.linspace(0, n_channel, workers + 1).astype(int).tolist()
+        self._pool = ThreadPoolExecutor(workers) if workers > 1 else None
+
+    def __call__(self, nco: Nco) -> Taps:
+        """Correlate over all pieces of the command; return the integrations that ended."""
+        fs = self._source.sample_rate_hz
+        self._check(nco, fs)
+        edge = first_sample_at(nco.t_s, fs).tolist()
+        if edge[0] != self._end_sample:
+            self._position[:, 0] = 0
+        self._end_sample = edge[-1]
+        rows = self._rows(nco)
+        for p, (first, end) in enumerate(zip(edge[:-1], edge[1:], strict=True)):
+            line = np.stack(
+                [
+                    nco.code_phase_chips[p],
+                    nco.chip_rate_hz[p],
+                    nco.carrier_phase_cycles[p],
+                    nco.carrier_freq_hz[p],
+                    nco.carrier_rate_hz_per_s[p],
+                ],
+                axis=1,
+            )
+            for a in range(first, end, _BLOCK):
+                b = min(a + _BLOCK, end)
+                block = np.ascontiguousarray(self._source.samples(a, b))
+                _deinterleave(block.reshape(-1), self._planar[0], self._planar[1])
+                self._run(a, b, float(nco.t_s[p]), line, nco, rows)
+        whole, real, iq, count = rows
+        done = np.arange(whole.shape[1]) < count[:, None]
+        channel = np.nonzero(done)[0]
+        r = real[done].T / np.array([fs, fs, 1.0, 1.0, 1.0, 1.0])[:, None]
+        ones = np.ones(channel.size)
+        return Taps(channel, whole[done], r[0], r[1], iq[done], ones, r[2], r[3], r[4], r[5])
+
+    def _rows(self, nco: Nco) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Room for every integration that can end: index, phases, iq, and their count."""
+        dt = np.diff(nco.t_s)[:, None]
+        most = np.where(
+            nco.valid, np.abs(nco.chip_rate_hz) * dt / np.maximum(nco.dump_chips, 1) + 3.0, 0.0
+        )
+        n = int(most.sum(axis=0).max(initial=0.0))
+        n_channel, n_tap = len(self._table), self.offset_chips.size
+        return (
+            np.empty((n_channel, n), np.int64),
+            np.empty((n_channel, n, 6)),
+            np.empty((n_channel, n, n_tap), np.complex128),
+            np.zeros(n_channel, np.int64),
+        )
+
+    def _run(self, a: int, b: int, t0_s: float, line: np.ndarray, nco: Nco, rows: Any) -> None:
+        """Correlate samples a ... b - 1 of one piece, all channels."""
+        arguments: tuple[Any, ...] = (
+            (a, b, t0_s, self._source.sample_rate_hz),
+            self._source.if_hz / self._source.sample_rate_hz,
+            1.0 / self._source.sigma,
+            self._planar,
+            line,
+            np.asarray(nco.dump_chips, np.int64),
+            np.asarray(nco.valid, np.bool_),
+            self._table,
+            self._length,
+            self.offset_chips,
+            (self._position, self._start, self._sums),
+            rows,
+        )
+        if self._pool is None:
+            _correlate(0, len(self._table), *arguments)
+            return
+        parts = [
+            self._pool.submit(_correlate, c0, c1, *arguments)
+            for c0, c1 in zip(self._shares[:-1], self._shares[1:], strict=True)
+        ]
+        for part in parts:
+            part.result()
+
+    def _check(self, nco: Nco, fs: float) -> None:
+        n_channel = len(self._table)
+        shape = (len(nco.t_s) - 1, n_channel)
+        for name in Nco._fields[1:6]:
+            if np.shape(getattr(nco, name)) != shape:
+                raise ValueError(f"nco.{name} is {getattr(nco, name).shape}: expected {shape}")
+            if not np.isfinite(getattr(nco, name)[:, nco.valid]).all():
+                raise ValueError(f"nco.{name} of a valid channel is not finite")
+        if np.shape(nco.dump_chips) != (n_channel,) or np.shape(nco.valid) != (n_channel,):
+            raise ValueError(f"nco.dump_chips and nco.valid: expected ({n_channel},) each")
+        rate = nco.chip_rate_hz[:, nco.valid]
+        if not np.all((rate > 0.0) & (rate <= fs)):
+            raise ValueError(
+                f"nco.chip_rate_hz is {rate}: expected > 0 and <= {fs} Hz, sampling rate"
+            )
+        if np.any(nco.dump_chips[nco.valid] < 1):
+            raise ValueError(f"nco.dump_chips is {nco.dump_chips}: expected at least one chip")
+
+
+# ---- kernels ---------------------------------------------------------------------------------
+
+_F = np.float32
+_32 = np.uint64(32)
+# columns of a channel's position: is the index known, is a sum open, index, first sample, length
+_KNOWN, _OPEN, _INDEX, _FIRST, _DUMP = 0, 1, 2, 3, 4
+
+
+@kernel
+def _deinterleave(block: np.ndarray, i: np.ndarray, q: np.ndarray) -> None:
+    """I, Q, I, Q ... (2 n,) of any type to float32 (n,) each."""
+    for j in range(block.shape[0] // 2):
+        i[j] = _F(block[2 * j])
+        q[j] = _F(block[2 * j + 1])
+
+
+@kernel(fastmath=FAST_SUM)
+def _wipe(
+    i: np.ndarray, q: np.ndarray, base: int, step: int, bend: Any, wi: np.ndarray, wq: np.ndarray
+) -> None:
+    """Samples (n,) times the conjugate carrier into wi, wq (n,)."""
+    n = i.shape[0]
+    last = _F(n)
+    for j in range(n):
+        x = _F(np.int32(j))
+        c, s = cos_sin(base + j * step, bend * x * (last - x))
+        wi[j] = i[j] * c + q[j] * s
+        wq[j] = q[j] * c - i[j] * s
+
+
+@kernel(fastmath=FAST_SUM)
+def _sum_tap(wi: np.ndarray, wq: np.ndarray, base: Any, step: Any, table: np.ndarray) -> Any:
+    """Sum of wi, wq (n,) times the code."""
+    si, sq = _F(0.0), _F(0.0)
+    for j in range(wi.shape[0]):
+        chip = table[(base + np.uint64(j) * step) >> _32]
+        si += wi[j] * chip
+        sq += wq[j] * chip
+    return si, sq
+
+
+@kernel
+def _carrier(line: np.ndarray, dt: float) -> float:
+    return line[2] + dt * (line[3] + 0.5 * line[4] * dt)
+
+
+@kernel
+def _begin(position: np.ndarray, x: float, dump: int, chips_per_sample: float) -> None:
+    """Find the integration under way at code phase x; open it if x is its first sample."""
+    tolerance = GUARD_SAMPLES * chips_per_sample
+    index = math.floor((x + tolerance) / dump)
+    position[_KNOWN] = 1
+    position[_INDEX] = index
+    position[_OPEN] = 1 if x - index * dump < chips_per_sample - tolerance else 0
+    position[_DUMP] = dump
+
+
+@kernel
+def _align(position: np.ndarray, x: float, dump: int, chips_per_sample: float) -> bool:
+    """At the first sample of a piece: True if a new integration opens here."""
+    if position[_KNOWN] and position[_DUMP] == dump:
+        middle = (position[_INDEX] + 0.5) * dump
+        if abs(x - middle) <= dump:
+            return False
+    _begin(position, x, dump, chips_per_sample)
+    return position[_OPEN] == 1
+
+
+@kernel
+def _finish(
+    channel: int, n: int, x: float, carrier: float, unit: float, state: Any, rows: Any
+) -> None:
+    """Write the open sums of a channel, which end before sample n, as its next row."""
+    position, start, sums = state
+    whole, real, iq, count = rows
+    row = count[channel]
+    scale = unit / math.sqrt(n - position[channel, _FIRST])
+    whole[channel, row] = position[channel, _INDEX]
+    real[channel, row, 0] = position[channel, _FIRST]
+    real[channel, row, 1] = n
+    real[channel, row, 2] = start[channel, 0]
+    real[channel, row, 3] = x
+    real[channel, row, 4] = start[channel, 1]
+    real[channel, row, 5] = carrier
+    for k in range(sums.shape[1]):
+        iq[channel, row, k] = complex(sums[channel, k, 0] * scale, sums[channel, k, 1] * scale)
+    count[channel] = row + 1
+
+
+@kernel
+def _open(channel: int, n: int, x: float, carrier: float, state: Any) -> None:
+    """Empty the sums of a channel; sample n is their first."""
+    position, start, sums = state
+    position[channel, _OPEN] = 1
+    position[channel, _FIRST] = n
+    start[channel, 0] = x
+    start[channel, 1] = carrier
+    sums[channel] = 0.0
+
+
+@kernel
+def _correlate(
+    c0: int,
+    c1: int,
+    span: tuple[int, int, float, float],
+    if_ratio: float,
+    unit: float,
+    planar: np.ndarray,
+    lines: np.ndarray,
+    dump_chips: np.ndarray,
+    valid: np.ndarray,
+    table: np.ndarray,
+    length: int,
+    offset_chips: np.ndarray,
+    state: Any,
+    rows: Any,
+) -> None:
+    """Channels c0 ... c1 - 1 over samples a ... b - 1 of one piece of the command."""
+    a, b, t0_s, fs = span
+    position, _, sums = state
+    wi, wq = np.empty(CELL, np.float32), np.empty(CELL, np.float32)
+    for channel in range(c0, c1):
+        if not valid[channel]:
+            position[channel, _KNOWN] = 0
+            continue
+        line, dump = lines[channel], dump_chips[channel]
+        slope = line[1] / fs
+        dt = a / fs - t0_s
+        if _align(position[channel], line[0] + line[1] * dt, dump, slope):
+            _open(channel, a, line[0] + line[1] * dt, _carrier(line, dt), state)
+        for start in range(a, b, CELL):
+            end = min(start + CELL, b)
+            dt = start / fs - t0_s
+            base, step, bend = _phases(line, dt, end - start, fs, start * if_ratio, if_ratio)
+            i, q = planar[0, start - a : end - a], planar[1, start - a : end - a]
+            _wipe(i, q, base, step, bend, wi, wq)
+            x = line[0] + line[1] * dt
+            n = start
+            while True:
+                # first sample at or past the end of the integration under way
+                to_go = (position[channel, _INDEX] + 1) * dump - x
+                bound = max(n, start + math.ceil(to_go / slope - GUARD_SAMPLES))
+                stop = min(bound, end)
+                if position[channel, _OPEN] and stop > n:
+                    wi_n, wq_n = wi[n - start : stop - start], wq[n - start : stop - start]
+                    for k in range(offset_chips.shape[0]):
+                        x_n = x + slope * (n - start) - offset_chips[k]
+                        code, code_step = code_steps(x_n, slope, length)
+                        si, sq = _sum_tap(wi_n, wq_n, code, code_step, table[channel])
+                        sums[channel, k, 0] += si
+                        sums[channel, k, 1] += sq
+                if bound >= end:
+                    break
+                n = bound
+                dt_n = n / fs - t0_s
+                x_n, carrier = line[0] + line[1] * dt_n, _carrier(line, dt_n)
+                if position[channel, _OPEN]:
+                    _finish(channel, n, x_n, carrier, unit, state, rows)
+                position[channel, _INDEX] += 1
+                _open(channel, n, x_n, carrier, state)
+
+
+@kernel
+def _phases(
+    line: np.ndarray, dt: float, n: int, fs: float, if_start: float, if_ratio: float
+) -> Any:
+    """`carrier_steps` of carrier and intermediate frequency over n samples from dt."""
+    if_start -= math.floor(if_start)
+    return carrier_steps(
+        _carrier(line, dt) + if_start,
+        _carrier(line, dt + 0.5 * n / fs) + if_start + 0.5 * n * if_ratio,
+        _carrier(line, dt + n / fs) + if_start + n * if_ratio,
+        n,
+    )
