@@ -208,6 +208,8 @@ class Scenario(_Table):
     prns: tuple[Prn, ...] | None = None
     """Satellites to keep; all by default"""
     profile: tuple[Segment, ...] = ()
+    jump_window_s: tuple[NotNegative, NotNegative] | None = None
+    """What the summary calls the jump; by default from the first to the last segment"""
     channel: Channel = Channel()
     imu: Imu = Imu()
     clock: Clock = Clock()
@@ -295,6 +297,10 @@ def _contradictions(s: Scenario) -> list[tuple[tuple[str, ...], str]]:
             "receiver.measurement receiver.knows.data_bits",
             '"coherent" without receiver.knows.data_bits',
             'data_bits = true, or "differential"',
+        )
+    if s.jump_window_s and not s.jump_window_s[0] < s.jump_window_s[1] <= s.duration_s:
+        refuse(
+            "jump_window_s duration_s", config.show(s.jump_window_s), "start < end <= duration_s"
         )
     times = [t for t, _ in s.channel.cn0_profile_s_db]
     if any(b <= a for a, b in zip(times, times[1:], strict=False)):
