@@ -76,8 +76,8 @@ class Constellation:
                 )
         if not np.isfinite(self.elements).all():
             raise ValueError(f"elements of {self.source} contain a number that is not finite")
-        for array in (self.prn, self.week, self.elements, self.health, self.iode):
-            array.flags.writeable = False
+        for name in ("prn", "week", "elements", "health", "iode", "transmission_s"):
+            getattr(self, name).flags.writeable = False
 
     def __len__(self) -> int:
         return len(self.prn)
@@ -175,15 +175,15 @@ class Constellation:
     def _refusal(self, week: int, tow_s: float, prn: int | None = None) -> str:
         who = "no satellite" if prn is None else f"G{prn:02d}"
         sets = self.health == 0 if prn is None else (self.health == 0) & (self.prn == prn)
-        verb = "has" if prn is None else "has no"
-        text = f"week {week}, tow {tow_s:g} s: {who} {verb} a healthy ephemeris within 2 h of toe"
+        what = "has a healthy" if prn is None else "has no healthy"
+        text = f"week {week}, tow {tow_s:.10g} s: {who} {what} ephemeris within 2 h of toe"
         if not sets.any():
             return f"{text} ({self.source} has none at all)"
         toe = self.elements[sets, TOE] + WEEK_S * self.week[sets]
         first, last = toe.min() - MAX_AGE_S, toe.max() + MAX_AGE_S
         return (
-            f"{text}; {self.source} covers week {first // WEEK_S:.0f}, tow {first % WEEK_S:g} s "
-            f"to week {last // WEEK_S:.0f}, tow {last % WEEK_S:g} s"
+            f"{text}; {self.source} covers week {first // WEEK_S:.0f}, tow {first % WEEK_S:.10g} s "
+            f"to week {last // WEEK_S:.0f}, tow {last % WEEK_S:.10g} s"
         )
 
 
