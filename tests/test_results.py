@@ -72,6 +72,14 @@ def test_a_run_without_events(run: Run, tmp_path) -> None:
     same(bare, results.load(tmp_path / "run.nc"))
 
 
+def test_a_long_scenario_fits(run: Run, tmp_path) -> None:
+    """HDF5 attributes end at 64 kB; a profile in time may well be longer."""
+    profile = [[0.1 * k, -0.01 * k] for k in range(20_000)]
+    long = Run({**run.scenario, "channel": {"cn0_profile_s_db": profile}}, 1, run.t_s, {})
+    long.save(tmp_path / "run.nc")
+    same(long, results.load(tmp_path / "run.nc"))
+
+
 def test_dataset_has_units_everywhere(run: Run) -> None:
     dataset = run.to_xarray()
     for name, array in dataset.variables.items():

@@ -28,6 +28,9 @@ EPOCH = "t"
 _COMPLEX = "real_imag"
 """Dimension that stands for complex numbers in a file: netCDF has no complex type"""
 
+_EVENT_COLUMNS = ("t_s", "channel", "kind", "reason")
+_DOCUMENTS = ("scenario", "provenance", "summary")
+
 Group = Literal["", "truth", "estimate", "taps", "nco", "covariance", "filter"]
 
 
@@ -98,27 +101,15 @@ class Run:
                 (EPOCH,), self.t_s, {"units": "s", "long_name": "receiver time since the start"}
             )
         }
-        columns = {
-            "event_t_s": (np.array([e.t_s for e in self.events], dtype=np.float64), "s"),
-            "event_channel": (
-                _storable(np.array([e.channel for e in self.events], dtype=str)),
-                "1",
-            ),
-            "event_kind": (_storable(np.array([e.kind for e in self.events], dtype=str)), "1"),
-            "event_reason": (_storable(np.array([e.reason for e in self.events], dtype=str)), "1"),
-        }
-        for name, (data, units) in columns.items():
-            long_name = name.replace("_", " ").removesuffix(" t s") + " of an event"
-            attributes = {"units": units, "long_name": long_name.removeprefix("event ")}
-            values[name] = xr.Variable(("event",), data, attributes)
-        of_the_run = {
-            "format": FORMAT,
-            "seed": self.seed,
-            "scenario": json.dumps(self.scenario),
-            "provenance": json.dumps(self.provenance),
-            "summary": json.dumps(self.summary),
-        }
-        return xr.Dataset(values, coordinates, of_the_run)
+        for name in _EVENT_COLUMNS:
+            column = [getattr(event, name) for event in self.events]
+            data = np.array(column, dtype=np.float64 if name == "t_s" else str)
+            attributes = {"units": "s" if name == "t_s" else "", "long_name": f"{name} of an event"}
+            values[f"event_{name}"] = xr.Variable(("event",), _storable(data), attributes)
+        for name in _DOCUMENTS:  # variables, for an attribute may not exceed 64 kB
+            text = json.dumps(getattr(self, name))
+            values[name] = xr.Variable((), text, {"units": "", "long_name": f"{name} as JSON"})
+        return xr.Dataset(values, coordinates, {"format": FORMAT, "seed": self.seed})
 
     @classmethod
     def from_xarray(cls, dataset: xarray.Dataset) -> Run:
@@ -134,23 +125,16 @@ class Run:
                 array.attrs.get("group", ""),
             )
             for name, array in dataset.variables.items()
-            if name != "t_s" and not str(name).startswith("event_")
+            if name not in ("t_s", *_DOCUMENTS) and array.dims != ("event",)
         }
-        events = [
-            Event(float(t), str(channel), str(kind), str(reason))
-            for t, channel, kind, reason in zip(
-                *(dataset[f"event_{c}"].values for c in ("t_s", "channel", "kind", "reason")),
-                strict=True,
-            )
-        ]
+        columns = [dataset[f"event_{name}"].values.tolist() for name in _EVENT_COLUMNS]
+        documents = {name: json.loads(str(dataset[name].item())) for name in _DOCUMENTS}
         return cls(
-            scenario=json.loads(dataset.attrs["scenario"]),
             seed=int(dataset.attrs["seed"]),
             t_s=dataset["t_s"].values,
             variables=variables,
-            events=events,
-            provenance=json.loads(dataset.attrs["provenance"]),
-            summary=json.loads(dataset.attrs["summary"]),
+            events=[Event(*row) for row in zip(*columns, strict=True)],
+            **documents,
         )
 
     def save(self, path: str | Path) -> None:

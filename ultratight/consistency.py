@@ -1,0 +1,133 @@
+"""Rules that join several keys of a scenario, and what is allowed but seldom wanted."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from fractions import Fraction
+from typing import TYPE_CHECKING
+
+from signals.constants import CA_CHIP_RATE_HZ
+from ultratight import config
+
+if TYPE_CHECKING:
+    from ultratight.scenario import Scenario
+
+Found = list[tuple[tuple[str, ...], str]]
+"""Keys concerned, and the line that says what is wrong"""
+SPEED_LIMIT_MPS = 12_000.0
+"""No vehicle of ours is faster than escape velocity"""
+
+
+def contradictions(s: Scenario) -> Found:
+    """(keys concerned, what is wrong) for every rule that joins several keys."""
+    front_end, receiver, found = s.front_end, s.receiver, []
+    rate, epoch = front_end.sample_rate_hz, receiver.epoch_s
+
+    def refuse(keys: str, given: object, expected: str) -> None:
+        names = tuple(keys.split())
+        found.append((names, f"{names[0]}: {given} given, expected {expected}"))
+
+    if rate < CA_CHIP_RATE_HZ:
+        refuse(
+            "front_end.sample_rate_hz", f"{rate:g}", f"at least the chip rate {CA_CHIP_RATE_HZ:g}"
+        )
+    if abs(front_end.if_hz) >= rate / 2:
+        refuse(
+            "front_end.if_hz front_end.sample_rate_hz",
+            f"{front_end.if_hz:g}",
+            f"less than half the sample rate ({rate / 2:g}) in magnitude",
+        )
+    if not _is_multiple(s.duration_s, epoch):
+        refuse(
+            "duration_s receiver.epoch_s", f"{s.duration_s:g}", f"a multiple of epoch_s = {epoch:g}"
+        )
+    if not _is_multiple(epoch, 1.0 / s.imu.rate_hz):
+        refuse(
+            "receiver.epoch_s imu.rate_hz",
+            f"{epoch:g}",
+            f"a multiple of the IMU interval {1.0 / s.imu.rate_hz:g} s",
+        )
+    coherent = receiver.closure == "ultra-tight" and receiver.measurement == "coherent"
+    if coherent and not receiver.knows.data_bits:
+        refuse(
+            "receiver.measurement receiver.knows.data_bits",
+            '"coherent" without receiver.knows.data_bits',
+            'data_bits = true, or "differential"',
+        )
+    if s.jump_window_s and not s.jump_window_s[0] < s.jump_window_s[1] <= s.duration_s:
+        refuse(
+            "jump_window_s duration_s", config.show(s.jump_window_s), "start < end <= duration_s"
+        )
+    times = [t for t, _ in s.channel.cn0_profile_s_db]
+    if any(b <= a for a, b in zip(times, times[1:], strict=False)):
+        refuse("channel.cn0_profile_s_db", config.show(times), "times that grow")
+    if s.prns is not None and len(set(s.prns)) < len(s.prns):
+        refuse("prns", config.show(s.prns), "each satellite once")
+    return found + _unknown_names(s) + _profile_contradictions(s)
+
+
+def _unknown_names(s: Scenario) -> Found:
+    """Names that are rows of tables elsewhere (looked up late: those modules are slow to load)."""
+    from signals.clock import OSCILLATORS
+    from ultratight.filters.catalog import CATALOG
+    from ultratight.ins.imu import GRADES
+
+    named: list[tuple[str, str | None, Iterable[str]]] = [
+        ("receiver.filter", s.receiver.filter, CATALOG),
+        ("imu.grade", s.imu.grade, GRADES),
+        ("clock.model", s.clock.model, OSCILLATORS),
+        ("receiver.process_noise.clock_model", s.receiver.process_noise.clock_model, OSCILLATORS),
+    ]
+    return [
+        ((key,), f'{key}: "{name}" given, expected one of {", ".join(table)}')
+        for key, name, table in named
+        if name is not None and name not in table
+    ]
+
+
+def _profile_contradictions(s: Scenario) -> Found:
+    found: Found = []
+    end, speed, fastest = 0.0, s.speed_mps, abs(s.speed_mps)
+    for i, leg in enumerate(s.profile):
+        if leg.t1_s <= leg.t0_s:
+            text = f"profile[{i}].t1_s: {leg.t1_s:g} given, expected more than t0_s = {leg.t0_s:g}"
+            found.append((("profile",), text))
+        if leg.t0_s < end:
+            text = (
+                f"profile[{i}].t0_s: {leg.t0_s:g} given, expected {end:g} or more (order, overlap)"
+            )
+            found.append((("profile",), text))
+        if leg.t1_s > s.duration_s:
+            text = f"profile[{i}].t1_s: {leg.t1_s:g} given, expected at most duration_s"
+            found.append((("profile", "duration_s"), f"{text} = {s.duration_s:g}"))
+        end = max(end, leg.t1_s)
+        length, a0, a1 = leg.t1_s - leg.t0_s, leg.accel0_mps2, leg.accel1_mps2
+        if a0 * a1 < 0.0:  # the extreme speed is where the acceleration crosses zero
+            fastest = max(fastest, abs(speed + a0 * a0 / (a0 - a1) * length / 2.0))
+        speed += (a0 + a1) / 2.0 * length
+        fastest = max(fastest, abs(speed))
+    if not found and fastest > SPEED_LIMIT_MPS:
+        text = f"profile: reaches {fastest:g} m/s, expected at most {SPEED_LIMIT_MPS:g} m/s"
+        found.append((("profile", "speed_mps"), text))
+    return found
+
+
+def _is_multiple(value: float, step: float) -> bool:
+    return round(value / step) >= 1 and abs(value / step - round(value / step)) < 1e-6
+
+
+def commensurate(sample_rate_hz: float) -> list[str]:
+    """Samples per chip p/q with q <= 10 put the chip edges on the sample grid at q phases only.
+
+    Close counts: the pattern must move by less than half its own step (1/q sample) in one code
+    period.  A delay is then seen in steps of 1/q sample, until Doppler moves the pattern.
+    """
+    per_chip = sample_rate_hz / CA_CHIP_RATE_HZ
+    ratio = Fraction(per_chip).limit_denominator(10)
+    if abs(per_chip - ratio) * 1023.0 >= 0.5 / ratio.denominator:
+        return []
+    return [
+        f"front_end.sample_rate_hz: {sample_rate_hz:g} is {ratio} samples per chip: the chip edges "
+        f"meet the sample grid at {ratio.denominator} phase(s) only, which biases code delay; "
+        "4e6 (4000/1023) does not"
+    ]
