@@ -1,0 +1,250 @@
+"""Error state of the integrated receiver: its layout, transition and process noise.
+
+error = true - estimate, C_true = (I + [psi x]) C_est, all resolved in ECEF axes
+(Groves, 2nd ed., 14.2.3, with the opposite sign of his errors):
+
+    r' = v
+    v' = grad(g) r - 2 W x v + psi x (C f) - C b_a [- C diag(f) s] + white
+    psi' = -W x psi - C b_g + white
+    b_a', b_g', s' = white                                      (random walks)
+    cb' = cd + white S_f,   cd' = white S_g
+    p_i' = -u_i . (v + psi x w) + cd + the same white S_f       (carrier phase of channel i, metres)
+
+with u_i the unit vector to the satellite and w the velocity C (omega x lever arm) of the antenna
+with respect to the IMU.  The biases of a Gauss-Markov sensor error (sigma, tau) beside a constant
+turn-on bias are modelled as a random walk of density 2 sigma^2 / tau: mean reversion of their sum
+would pull towards the wrong value.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from signals.compiled import kernel
+from signals.constants import OMEGA_EARTH
+from ultratight.ins.earth import gravity_gradient
+
+R, V, PSI, ACCEL_BIAS, GYRO_BIAS, CB, CD, SCALE_FACTOR = 0, 3, 6, 9, 12, 15, 16, 17
+"""First rows of the blocks, for kernels; the phases follow the scale factors, if any."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where each quantity stands in the error state; built once, nobody counts rows."""
+
+    n: int
+    n_scale: int  # 0 or 3
+    n_phase: int
+    r: slice
+    v: slice
+    psi: slice
+    accel_bias: slice
+    gyro_bias: slice
+    cb: slice
+    cd: slice
+    accel_scale_factor: slice  # empty without scale factors
+    phase: slice  # empty without phases
+
+    @classmethod
+    def build(cls, scale_factor: bool = False, n_phase: int = 0) -> Layout:
+        """17 states, + 3 accelerometer scale factors, + one carrier phase per channel."""
+        if n_phase < 0:
+            raise ValueError(f"n_phase = {n_phase}: expected >= 0")
+        n_scale = 3 if scale_factor else 0
+        phase = SCALE_FACTOR + n_scale
+        return cls(
+            n=phase + n_phase,
+            n_scale=n_scale,
+            n_phase=n_phase,
+            r=slice(R, R + 3),
+            v=slice(V, V + 3),
+            psi=slice(PSI, PSI + 3),
+            accel_bias=slice(ACCEL_BIAS, ACCEL_BIAS + 3),
+            gyro_bias=slice(GYRO_BIAS, GYRO_BIAS + 3),
+            cb=slice(CB, CB + 1),
+            cd=slice(CD, CD + 1),
+            accel_scale_factor=slice(SCALE_FACTOR, phase),
+            phase=slice(phase, phase + n_phase),
+        )
+
+
+class ProcessNoise(NamedTuple):
+    """Power spectral densities of the white noises, per axis."""
+
+    velocity: float  # velocity random walk squared [m2/s3]
+    attitude: float  # angular random walk squared [rad2/s]
+    accel_bias: float  # [m2/s5]
+    gyro_bias: float  # [rad2/s3]
+    clock_sf: float  # S_f = c^2 h0 / 2 [m2/s]
+    clock_sg: float  # S_g = 2 pi^2 c^2 h_-2 [m2/s3]
+    scale_factor: float = 0.0  # [1/s]
+    phase: float = 0.0  # of each channel alone [m2/s]
+
+
+def transition(
+    layout: Layout,
+    noise: ProcessNoise,
+    r_eb_e: np.ndarray,
+    C_b_e: np.ndarray,
+    f_ib_b: np.ndarray,
+    u: np.ndarray,
+    T: float,
+    antenna_velocity_e: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Phi = I + F T + (F T)^2 / 2 and Q = T (Phi G Phi' + G) / 2 over an epoch of T seconds.
+
+    Parameters
+    ----------
+    layout, noise
+        Which states there are, and the densities on the diagonal of G.
+    r_eb_e, C_b_e, f_ib_b : arrays (3,), (3, 3), (3,)
+        Position, attitude and mean specific force (body axes) of the epoch, best at its middle.
+    u : (n_phase, 3) array
+        Unit vectors to the satellites of the carrier phases; unused rows when there are none.
+    T : float
+    antenna_velocity_e : (3,) array, optional
+        C (omega_eb x lever arm), velocity of the antenna with respect to the IMU.
+
+    Returns
+    -------
+    Phi, Q : (n, n) arrays
+        Q is the trapezium rule: its error is O(T^3) (r-r and the like start there themselves).
+    """
+    if layout.n_phase > u.shape[0]:
+        raise ValueError(f"u of shape {u.shape}: expected ({layout.n_phase}, 3) or more rows")
+    w = np.zeros(3) if antenna_velocity_e is None else antenna_velocity_e
+    Phi, Q = np.empty((layout.n, layout.n)), np.empty((layout.n, layout.n))
+    _transition(r_eb_e, C_b_e, f_ib_b, T, u, w, layout.n_scale, layout.n_phase, noise, Phi, Q)
+    return Phi, Q
+
+
+# --- kernels --------------------------------------------------------------------------------
+
+
+@kernel
+def system_matrix(
+    r: np.ndarray,
+    C: np.ndarray,
+    f: np.ndarray,
+    u: np.ndarray,
+    w: np.ndarray,
+    n_scale: int,
+    n_phase: int,
+    F: np.ndarray,
+) -> None:
+    """Write F (n, n) of x' = F x; see `transition` for the arguments."""
+    F[:] = 0.0
+    G = gravity_gradient(r)
+    for i in range(3):
+        F[R + i, V + i] = 1.0
+        for j in range(3):
+            F[V + i, R + j] = G[i, j]
+            F[V + i, ACCEL_BIAS + j] = -C[i, j]
+            F[PSI + i, GYRO_BIAS + j] = -C[i, j]
+            if n_scale:
+                F[V + i, SCALE_FACTOR + j] = -C[i, j] * f[j]
+    F[V, V + 1], F[V + 1, V] = 2.0 * OMEGA_EARTH, -2.0 * OMEGA_EARTH
+    F[PSI, PSI + 1], F[PSI + 1, PSI] = OMEGA_EARTH, -OMEGA_EARTH
+    x = C[0, 0] * f[0] + C[0, 1] * f[1] + C[0, 2] * f[2]
+    y = C[1, 0] * f[0] + C[1, 1] * f[1] + C[1, 2] * f[2]
+    z = C[2, 0] * f[0] + C[2, 1] * f[1] + C[2, 2] * f[2]
+    F[V, PSI + 1], F[V, PSI + 2] = z, -y  # psi x (C f) = -[C f x] psi
+    F[V + 1, PSI], F[V + 1, PSI + 2] = -z, x
+    F[V + 2, PSI], F[V + 2, PSI + 1] = y, -x
+    F[CB, CD] = 1.0
+    p = SCALE_FACTOR + n_scale
+    for i in range(n_phase):
+        for j in range(3):
+            F[p + i, V + j] = -u[i, j]
+        # -u . (psi x w) = (u x w) . psi
+        F[p + i, PSI] = u[i, 1] * w[2] - u[i, 2] * w[1]
+        F[p + i, PSI + 1] = u[i, 2] * w[0] - u[i, 0] * w[2]
+        F[p + i, PSI + 2] = u[i, 0] * w[1] - u[i, 1] * w[0]
+        F[p + i, CD] = 1.0
+
+
+@kernel
+def _transition(
+    r: np.ndarray,
+    C: np.ndarray,
+    f: np.ndarray,
+    T: float,
+    u: np.ndarray,
+    w: np.ndarray,
+    n_scale: int,
+    n_phase: int,
+    noise: ProcessNoise,
+    Phi: np.ndarray,
+    Q: np.ndarray,
+) -> None:
+    """Phi and Q (n, n); F is sparse, and both products walk over its entries only."""
+    n = Phi.shape[0]
+    F = np.empty((n, n))
+    system_matrix(r, C, f, u, w, n_scale, n_phase, F)
+    first_phase = SCALE_FACTOR + n_scale
+    for i in range(n):
+        for j in range(n):
+            Phi[i, j] = F[i, j] * T
+        Phi[i, i] += 1.0
+        for k in range(n):
+            a = 0.5 * T * T * F[i, k]
+            if a != 0.0:
+                for j in range(n):
+                    Phi[i, j] += a * F[k, j]
+
+    Q[:] = 0.0
+    column = np.empty(n)
+    rows = np.empty(n, np.int64)
+    for k in range(n + 1):
+        # column k of Phi sqrt(G); the last is S_f, which enters the clock and every phase alike
+        if k == n:
+            g = noise.clock_sf
+            for i in range(n):
+                column[i] = Phi[i, CB]
+                for j in range(first_phase, n):
+                    column[i] += Phi[i, j]
+        else:
+            g = _density(k, n_scale, noise)
+            for i in range(n):
+                column[i] = Phi[i, k]
+        if g == 0.0:
+            continue
+        m = 0
+        for i in range(n):
+            if column[i] != 0.0:
+                rows[m] = i
+                m += 1
+        for a in range(m):
+            for b in range(m):
+                Q[rows[a], rows[b]] += 0.5 * T * g * column[rows[a]] * column[rows[b]]
+        if k < n:
+            Q[k, k] += 0.5 * T * g
+    for i in range(CB, n):
+        for j in range(CB, n):
+            if (i == CB or i >= first_phase) and (j == CB or j >= first_phase):
+                Q[i, j] += 0.5 * T * noise.clock_sf
+
+
+@kernel
+def _density(k: int, n_scale: int, noise: ProcessNoise) -> float:
+    """Diagonal of G, without the clock's S_f."""
+    if k < V:
+        return 0.0
+    if k < PSI:
+        return noise.velocity
+    if k < ACCEL_BIAS:
+        return noise.attitude
+    if k < GYRO_BIAS:
+        return noise.accel_bias
+    if k < CB:
+        return noise.gyro_bias
+    if k == CB:
+        return 0.0
+    if k == CD:
+        return noise.clock_sg
+    if k < SCALE_FACTOR + n_scale:
+        return noise.scale_factor
+    return noise.phase
