@@ -19,7 +19,15 @@ from ultratight import config, consistency
 from ultratight.config import InvalidInput, Unsupported
 from ultratight.consistency import SPEED_LIMIT_MPS
 
-__all__ = ["PRESETS", "InvalidInput", "Scenario", "Unsupported", "load", "preset_text"]
+__all__ = [
+    "PRESETS",
+    "InvalidInput",
+    "Scenario",
+    "Unsupported",
+    "load",
+    "preset_text",
+    "preset_tree",
+]
 
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
@@ -287,6 +295,11 @@ def _all_problems(tree: Mapping[str, Any], error: ValidationError) -> list[str]:
 def preset_text(name: str) -> str:
     """The TOML text of a preset as it ships."""
     return (files("ultratight") / "presets" / f"{name}.toml").read_text(encoding="utf-8")
+
+
+def preset_tree(name: str) -> dict[str, Any]:
+    """A preset with all that it extends, not validated (quick: nothing compiled is loaded)."""
+    return config.resolved(name, PRESETS, preset_text, _relative_to)
 
 
 def load(name_or_path: str | Path, overrides: Mapping[str, Any] | Iterable[str] = ()) -> Scenario:

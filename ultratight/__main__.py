@@ -1,0 +1,308 @@
+"""The command line: thin.  Options become overrides of a scenario, results become text."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from ultratight.results import Run
+    from ultratight.scenario import Scenario
+
+DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+FIGURES = (".png", ".pdf", ".svg")
+
+app = typer.Typer(
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    help="GNSS receiver baseband simulator with ultra-tight INS coupling at signal level.",
+)
+
+Source = Annotated[str, typer.Argument(metavar="PRESET|FILE.toml", help="what to fly")]
+Override = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="change one key, e.g. imu.lag_s=0.0025"),
+]
+Quiet = Annotated[bool, typer.Option("--quiet", help="no progress, no warnings")]
+Json = Annotated[bool, typer.Option("--json", help="print one JSON object")]
+
+
+def _whole(text: str) -> int:
+    if not (text.isascii() and text.isdigit() and int(text) < 2**63):
+        raise typer.BadParameter(f"{text!r} given, expected a whole number from 0 to 2^63 - 1")
+    return int(text)
+
+
+Seed = Annotated[
+    int, typer.Option("--seed", parser=_whole, metavar="N", help="seed of every random stream")
+]
+
+
+@app.command()
+def run(
+    source: Source,
+    filter: Annotated[str | None, typer.Option(help="see `ultratight filters`")] = None,
+    closure: Annotated[str | None, typer.Option(help="ultra-tight, scalar or scalar-ins")] = None,
+    measurement: Annotated[str | None, typer.Option(help="coherent or differential")] = None,
+    correlator: Annotated[str | None, typer.Option(help="samples or model (closed form)")] = None,
+    changes: Override = None,
+    nav: Annotated[Path | None, typer.Option(help="RINEX navigation file for the sky")] = None,
+    seed: Seed = 1,
+    out: Annotated[Path | None, typer.Option(help="write the run to FILE.nc")] = None,
+    plot: Annotated[Path | None, typer.Option(help="write a figure (png, pdf, svg)")] = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Fly a scenario and print how it went."""
+    from ultratight import results, scenario
+
+    options = {
+        "receiver.filter": filter,
+        "receiver.closure": closure,
+        "receiver.measurement": measurement,
+        "correlator.kind": correlator,
+        "constellation": nav and str(nav),
+    }
+    given = [f"{key}={json.dumps(value)}" for key, value in options.items() if value is not None]
+    chosen = scenario.load(source, [*given, *(changes or [])])
+    _refuse_meaningless(chosen, filter=filter, measurement=measurement)
+    if out:
+        results.check_writable(out)
+    if plot:
+        results.check_writable(plot, FIGURES)
+    if not quiet:
+        for line in chosen.warnings():
+            print(f"warning: {line}", file=sys.stderr)
+    flown = _fly(chosen, seed, quiet)
+    if out:
+        flown.save(out)
+    if plot:
+        _draw([flown], plot)
+    print(json.dumps(flown.summary) if as_json else "\n".join(_report(flown)))
+    if not (quiet or as_json):
+        for path in (out, plot):
+            if path:
+                print(f"written: {path}")
+
+
+@app.command()
+def scenarios(
+    name: Annotated[
+        str | None, typer.Option("--print", metavar="NAME", help="print one as TOML, every key")
+    ] = None,
+) -> None:
+    """List the scenarios that ship, with the reason why each exists."""
+    from ultratight import scenario
+
+    if name is not None:
+        print(scenario.load(name).to_toml(), end="")
+        return
+    width = max(len(preset) for preset in scenario.PRESETS)
+    for preset in scenario.PRESETS:
+        tree = scenario.preset_tree(preset)
+        print(f"{preset:{width}}  {tree['title']}\n{'':{width}}  {tree['why']}")
+
+
+@app.command()
+def filters() -> None:
+    """List the filters by name, with their source."""
+    from ultratight.filters.catalog import CATALOG
+
+    width = max(len(name) for name in CATALOG)
+    for name, recipe in CATALOG.items():
+        print(f"{name:{width}}  {recipe.description}\n{'':{width}}  [{recipe.source}]")
+
+
+@app.command()
+def show(file: Annotated[Path, typer.Argument(metavar="FILE.nc")], as_json: Json = False) -> None:
+    """Show what a saved run holds."""
+    from ultratight import results
+
+    kept = results.load(file)
+    if as_json:
+        print(json.dumps(kept.summary))
+        return
+    print("\n".join(_report(kept)))
+    print("made by " + ", ".join(f"{k} {v}" for k, v in kept.provenance.items()))
+    for event in kept.events:
+        print(f"{event.t_s:9.3f} s  {event.channel or 'receiver':12}  {event.kind}  {event.reason}")
+    for name, v in sorted(kept.variables.items()):
+        shape = ", ".join(f"{d} {n}" for d, n in zip(v.dims, v.data.shape, strict=True))
+        print(f"{name:24} ({shape}) {v.long_name} [{v.units or '1'}]")
+
+
+@app.command()
+def validate(source: Source, changes: Override = None) -> None:
+    """Check a scenario and list every problem at once; fly nothing."""
+    from ultratight import scenario
+
+    chosen = scenario.load(source, changes or [])
+    for line in chosen.warnings():
+        print(f"warning: {line}", file=sys.stderr)
+    print(f"{source}: valid ({chosen.name}, {chosen.duration_s:g} s, {chosen.digest()[:16]})")
+
+
+@app.command()
+def showcase(
+    out: Annotated[Path, typer.Option(help="folder for figure and results")] = Path("results"),
+    seed: Seed = 1,
+    quiet: Quiet = False,
+) -> None:
+    """Fly jump-1 with three filters on the same samples, with and without the IMU's error."""
+    from ultratight import showcase as script
+
+    script.main(out, seed, quiet)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        print(f"ultratight {version('ultratight')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="print the version")
+    ] = False,
+) -> None:
+    pass
+
+
+# -- what commands are made of --------------------------------------------------------------------
+
+
+def _refuse_meaningless(chosen: Scenario, **options: str | None) -> None:
+    """Refuse options that the chosen closure has no use for."""
+    from ultratight.scenario import Unsupported
+
+    closure = chosen.receiver.closure
+    if closure == "ultra-tight":
+        return
+    lines = [
+        f"--{name}: {value} given, but closure {closure} has no {name}; "
+        "expected --closure ultra-tight, or no such option"
+        for name, value in options.items()
+        if value is not None
+    ]
+    if lines:
+        raise Unsupported(lines)
+
+
+def _fly(chosen: Scenario, seed: int, quiet: bool) -> Run:
+    from ultratight.simulation import run as simulate
+
+    with _progress(f"flying {chosen.name}", quiet) as report:
+        return simulate(chosen, seed, progress=report)
+
+
+@contextmanager
+def _progress(what: str, quiet: bool) -> Iterator[Callable[[float], None] | None]:
+    """A bar on a terminal, a line per tenth when piped, nothing when quiet; on stderr."""
+    if quiet:
+        yield None
+    elif sys.stderr.isatty():
+        from rich.console import Console
+        from rich.progress import Progress
+
+        with Progress(console=Console(stderr=True), transient=True) as bar:
+            task = bar.add_task(f"{what} (the first run compiles)", total=1.0)
+            yield lambda share: bar.update(task, completed=share)
+    else:
+        done = -1
+
+        def report(share: float) -> None:
+            nonlocal done
+            if int(share * 10.0) > done:
+                done = int(share * 10.0)
+                print(f"{what}: {10 * done} %", file=sys.stderr, flush=True)
+
+        yield report
+
+
+def _draw(runs: Sequence[Run], path: Path) -> None:
+    """Write the figure, whole or not at all."""
+    from ultratight import plots
+
+    part = path.with_name(f".{path.name}.part")
+    try:
+        plots.figure(runs).savefig(part, format=path.suffix[1:].lower(), dpi=150)
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def _report(flown: Run) -> list[str]:
+    """The summary in words and numbers."""
+    s: dict[str, Any] = flown.summary
+
+    def number(value: float | None, unit: str = "") -> str:
+        return "-" if value is None else f"{value:.3g}{unit}"
+
+    how = [s["closure"], s["filter"], s["measurement"], f"taps from {s['correlator']}"]
+    velocity = "  ".join(f"{k} {number(v)}" for k, v in s["velocity_rms_mps"].items())
+    lost = ", ".join(f"{k} at {v:g} s" for k, v in s["lost_lock_s"].items() if v is not None)
+    return [
+        f"{s['scenario']}: {flown.scenario.get('title', '')}",
+        f"receiver             {', '.join(str(x) for x in how if x)}",
+        f"sky                  {s['n_satellites']} satellites, seed {s['seed']}",
+        f"velocity r.m.s. m/s  {velocity}",
+        f"position r.m.s. end  {number(s['position_rms_end_m'], ' m')}",
+        f"NEES/3, NIS/m        {number(s['nees_velocity'])}, {number(s['nis_per_measurement'])}",
+        f"converged            {'yes' if s['converged'] else 'no'}",
+        f"lost lock            {lost or 'never'} (fall-backs: {s['fall_backs']})",
+        f"time                 {s['duration_s']:g} s in {s['wall_s']:g} s "
+        f"({number(s['realtime_factor'])} x real time, {s['cpu_path']})",
+    ]
+
+
+def _failure(error: BaseException) -> tuple[int, str, list[str]] | None:
+    """(exit code, error_kind, lines) for what a user can do something about, else None."""
+    from ultratight.config import InvalidInput, Unsupported
+
+    if hasattr(error, "format_message"):  # the command line itself
+        return BAD_INPUT, "invalid_input", [" ".join(error.format_message().split())]
+    if isinstance(error, InvalidInput):
+        kind = "unsupported" if isinstance(error, Unsupported) else "invalid_input"
+        return BAD_INPUT, kind, error.problems
+    line = " ".join(str(error).split()) or type(error).__name__
+    if isinstance(error, ArithmeticError) or type(error).__name__ == "LinAlgError":
+        return FAILED, "numerical", [f"numerical failure: {line}"]
+    if isinstance(error, OSError):
+        return FAILED, "io", [line]
+    if isinstance(error, ValueError):
+        return BAD_INPUT, "invalid_input", [line]
+    return None
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command and return its exit code: 0 done, 1 failed, 2 bad input, 130 interrupted."""
+    given = list(sys.argv[1:] if arguments is None else arguments) or ["--help"]
+    try:
+        return int(app(given, prog_name="ultratight", standalone_mode=False) or DONE)
+    except (KeyboardInterrupt, typer.Abort):
+        print("interrupted, nothing half-written is left", file=sys.stderr)
+        return INTERRUPTED
+    except Exception as error:
+        failure = _failure(error)
+        if failure is None:
+            raise
+        code, kind, lines = failure
+        for line in lines:
+            print(f"error: {line}", file=sys.stderr)
+        if "--json" in given:
+            print(json.dumps({"error_kind": kind, "message": "\n".join(lines)}))
+        return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())
