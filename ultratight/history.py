@@ -1,0 +1,105 @@
+"""What is kept of a run: a row per epoch of what the receiver had, every dump, and the truth."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from signals.constants import C_MPS, GPS_L1_HZ
+from signals.nco import Nco, Taps
+from signals.propagation import elevation_azimuth, predict_channels
+from ultratight.results import EPOCH, Variable
+
+if TYPE_CHECKING:
+    from ultratight.world import World
+
+ROW_S = 0.02
+"""Closures with shorter epochs keep a row this often [s]"""
+
+
+class History:
+    """Arrays that are filled row by row while the receiver runs."""
+
+    def __init__(self, closure: Any, n_epoch: int) -> None:
+        self.every = max(1, round(ROW_S / closure.epoch_s))
+        n = n_epoch // self.every
+        self.t_s = np.full(n, np.nan)
+        self.fields = closure.fields()
+        self.rows = {
+            name: np.full((n, *shape), np.nan) for name, (shape, _, _, _) in self.fields.items()
+        }
+        self.taps: list[Taps] = []
+        self.nco_freq: np.ndarray | None = None
+        self.nco_code: np.ndarray | None = None
+
+    def record(self, k: int, t_s: float, closure: Any, nco: Nco, taps: Taps) -> None:
+        """Keep epoch k, which ended at t_s."""
+        if taps.channel.size:
+            self.taps.append(taps)
+        if (k + 1) % self.every:
+            return
+        row = k // self.every
+        if self.nco_freq is None or self.nco_code is None:
+            shape = (self.t_s.size, nco.valid.size)
+            self.nco_freq, self.nco_code = np.full(shape, np.nan), np.full(shape, np.nan)
+        self.t_s[row] = t_s
+        self.nco_freq[row] = nco.carrier_freq_hz[-1]
+        self.nco_code[row] = nco.code_phase_chips[-1]
+        closure.write(self.rows, row)
+
+    def variables(self, names: list[str]) -> dict[str, Variable]:
+        """Everything kept, with dimensions and units; dumps have their own dimension."""
+        out = {
+            name: Variable(self.rows[name], (EPOCH, *dims), units, text)
+            for name, (_, dims, units, text) in self.fields.items()
+        }
+        out["channel"] = Variable(np.array(names), ("channel",), "", "signal of each channel")
+        if self.nco_freq is not None and self.nco_code is not None:
+            out["nco_carrier_freq"] = Variable(
+                self.nco_freq, (EPOCH, "channel"), "Hz", "NCO carrier above IF, last piece"
+            )
+            out["nco_code_phase"] = Variable(
+                self.nco_code, (EPOCH, "channel"), "chips", "NCO code phase, start of last piece"
+            )
+        if self.taps:
+            joined = [np.concatenate([t[i] for t in self.taps]) for i in range(5)]
+            channel, index, start, end, iq = joined
+            out["dump_channel"] = Variable(channel, ("dump",), "1", "channel of the dump")
+            out["dump_index"] = Variable(index, ("dump",), "1", "code phase at start / length")
+            out["dump_start"] = Variable(start, ("dump",), "s", "first sample")
+            out["dump_end"] = Variable(end, ("dump",), "s", "first sample after")
+            unit = "standard deviations of the noise"
+            out["tap_i"] = Variable(iq.real.copy(), ("dump", "tap"), unit, "in-phase tap")
+            out["tap_q"] = Variable(iq.imag.copy(), ("dump", "tap"), unit, "quadrature tap")
+        return out
+
+
+def truth_variables(world: World, t_s: np.ndarray) -> dict[str, Variable]:
+    """The truth at receiver times t_s, beside the estimates."""
+    t_true = world.true_time(t_s)
+    motion = world.trajectory.at(t_true)
+    clock_m = np.interp(t_s, world.t_s, world.clock_m)
+    clock_rate = np.interp(t_s, world.t_s, world.clock_rate_mps)
+    r, v = world.antenna(t_s)
+    n = world.prn.size
+    rho, rate, u = np.empty((t_s.size, n)), np.empty((t_s.size, n)), np.empty((t_s.size, n, 3))
+    for k in range(t_s.size):
+        predict_channels(
+            world.elements, world.scenario.start_tow_s + t_s[k], r[k], v[k],
+            clock_m[k], clock_rate[k], rho[k], rate[k], u[k],
+        )  # fmt: skip
+    elevation, azimuth = elevation_azimuth(r[:, None, :], u)
+    vector, channel = (EPOCH, "xyz"), (EPOCH, "channel")
+    return {
+        "r_eb_e_true": Variable(motion.r_eb_e, vector, "m", "true IMU position, ECEF"),
+        "v_eb_e_true": Variable(motion.v_eb_e, vector, "m/s", "true IMU velocity, ECEF"),
+        "C_b_e_true": Variable(motion.C_b_e, (EPOCH, "row", "column"), "1", "true attitude"),
+        "speed_true": Variable(world.trajectory.speed(t_true), (EPOCH,), "m/s", "true speed"),
+        "clock_m_true": Variable(clock_m, (EPOCH,), "m", "true receiver clock bias"),
+        "clock_rate_true": Variable(clock_rate, (EPOCH,), "m/s", "true receiver clock drift"),
+        "pseudorange_true": Variable(rho, channel, "m", "true pseudorange"),
+        "doppler_true": Variable(-rate * GPS_L1_HZ / C_MPS, channel, "Hz", "true Doppler"),
+        "elevation": Variable(np.degrees(elevation), channel, "deg", "elevation"),
+        "azimuth": Variable(np.degrees(azimuth), channel, "deg", "azimuth"),
+    }

@@ -1,0 +1,104 @@
+"""Figures of merit of a run: errors against truth, consistency, convergence, lock."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2
+
+from ultratight.results import Run
+
+CONVERGED_MPS = 0.5
+"""A run has converged when the r.m.s. velocity error of its end is below this"""
+END_S = 2.5
+SETTLED_S = 5.0
+AFTER_S = 10.0
+
+
+def velocity_error(run: Run) -> np.ndarray:
+    """True minus estimated velocity in ECEF (n_epoch, 3) [m/s]."""
+    return run["v_eb_e_true"] - run["v_eb_e"]
+
+
+def position_error(run: Run) -> np.ndarray:
+    """True minus estimated position in ECEF (n_epoch, 3) [m]."""
+    return run["r_eb_e_true"] - run["r_eb_e"]
+
+
+def rms(error: np.ndarray, mask: np.ndarray) -> float | None:
+    """Root mean square length of the rows (n, 3) under the mask; None if there are none."""
+    if not mask.any():
+        return None
+    return float(np.sqrt(np.mean(np.sum(error[mask] ** 2, axis=1))))
+
+
+def nees(error: np.ndarray, cov: np.ndarray) -> np.ndarray:
+    """Normalised estimation error squared (n,) of errors (n, d) with covariances (n, d, d)."""
+    solved = np.linalg.solve(cov, error[..., None])[..., 0]
+    return np.einsum("ni,ni->n", error, solved)
+
+
+def nees_velocity(run: Run, mask: np.ndarray) -> float | None:
+    """Median of NEES/3 of the velocity under the mask, None without covariance or epochs.
+
+    It is relative to the expectation 3, not to the median of chi-square (2.37), hence 0.79 for a
+    filter that is consistent.
+    """
+    if "cov_velocity" not in run or not mask.any():
+        return None
+    cov = run["cov_velocity"][mask]
+    good = np.isfinite(cov).all(axis=(1, 2))
+    if not good.any():
+        return None
+    return float(np.median(nees(velocity_error(run)[mask][good], cov[good]) / 3.0))
+
+
+def nis_per_measurement(run: Run, mask: np.ndarray) -> float | None:
+    """Mean of NIS / m under the mask, over epochs with measurements."""
+    if "nis" not in run:
+        return None
+    nis, m = run["nis"], run["n_measurement"]
+    mask = mask & (m > 0) & np.isfinite(nis)
+    return float(np.mean(nis[mask] / m[mask])) if mask.any() else None
+
+
+def chi2_interval(n: int, level: float = 0.95) -> tuple[float, float]:
+    """Two-sided interval of chi-square with n degrees of freedom, divided by n."""
+    tail = 0.5 * (1.0 - level)
+    return float(chi2.ppf(tail, n) / n), float(chi2.ppf(1.0 - tail, n) / n)
+
+
+def windows(t_s: np.ndarray, jump_s: tuple[float, float] | None) -> dict[str, np.ndarray]:
+    """Masks {before, jump, after, end} over the epochs; a jump at 0 s leaves no `before`."""
+    none = np.zeros(t_s.shape, dtype=bool)
+    end = t_s > t_s[-1] - END_S
+    if jump_s is None:
+        return {"before": t_s > SETTLED_S, "jump": none, "after": none, "end": end}
+    start, stop = jump_s
+    return {
+        "before": (t_s > SETTLED_S) & (t_s <= start),
+        "jump": (t_s > start) & (t_s <= stop),
+        "after": (t_s > stop) & (t_s <= stop + AFTER_S),
+        "end": end,
+    }
+
+
+def summarise(run: Run, jump_s: tuple[float, float] | None) -> dict[str, Any]:
+    """The figures that a run is judged by; None where one has no meaning."""
+    masks = windows(run.t_s, jump_s)
+    error = velocity_error(run)
+    velocity = {name: _number(rms(error, mask)) for name, mask in masks.items()}
+    end = velocity["end"]
+    return {
+        "converged": end is not None and end < CONVERGED_MPS,
+        "velocity_rms_mps": velocity,
+        "position_rms_end_m": _number(rms(position_error(run), masks["end"])),
+        "nees_velocity": _number(nees_velocity(run, masks["jump"])),
+        "nis_per_measurement": _number(nis_per_measurement(run, ~masks["jump"])),
+    }
+
+
+def _number(value: float | None) -> float | None:
+    """None in place of NaN and inf, which JSON does not know."""
+    return value if value is not None and np.isfinite(value) else None

@@ -1,0 +1,38 @@
+"""Where a run comes from: scenario, seed, versions, and the path that the CPU took."""
+
+from __future__ import annotations
+
+import platform
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+from llvmlite import binding
+from numba.core import config as numba_config
+
+from ultratight.scenario import Scenario
+
+
+def provenance(scenario: Scenario, seed: int) -> dict[str, Any]:
+    """What one needs to repeat the run: scenario hash, seed, versions, CPU path."""
+    names = ("ultratight", "numpy", "scipy", "numba")
+    return {
+        "scenario_sha256": scenario.digest(),
+        "seed": seed,
+        "cpu_path": cpu_path(),
+        "machine": platform.machine(),
+        "versions": {"python": platform.python_version()} | {n: _version(n) for n in names},
+    }
+
+
+def cpu_path() -> str:
+    """``numba:`` and the CPU that kernels are compiled for, or ``python`` where they are not."""
+    if numba_config.DISABLE_JIT:
+        return "python"
+    return f"numba:{numba_config.CPU_NAME or binding.get_host_cpu_name()}"
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "unknown"

@@ -1,0 +1,196 @@
+"""The one main loop: a command goes down, taps come up, the receiver decides, a row is kept."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import numpy as np
+
+from signals.front_end import Recording, SyntheticIf
+from signals.nco import Correlator, Nco, Taps
+from ultratight import metrics
+from ultratight.filters.catalog import CATALOG, make_filter
+from ultratight.filters.gaussian import Filter
+from ultratight.history import History, truth_variables
+from ultratight.ins.imu import Increments
+from ultratight.provenance import provenance
+from ultratight.results import Event, Run
+from ultratight.scenario import InvalidInput, Scenario, Unsupported
+from ultratight.tracking.knows import Knows
+from ultratight.tracking.scalar import Scalar, ScalarSettings
+from ultratight.tracking.ultra_tight import Settings, UltraTight
+from ultratight.world import World
+
+PROGRESS_S = 0.5
+"""Progress is reported this often, in simulated time [s]"""
+
+
+class Closure(Protocol):
+    """Who closes the loop: scalar, INS-aided scalar or ultra-tight."""
+
+    epoch_s: float
+    events: list[tuple[float, int, str, str]]
+    first_lost_s: np.ndarray
+
+    def steer(self, t_end_s: float, imu: Increments) -> Nco:
+        """Command the NCOs up to t_end_s; ``imu`` has the increments that end by then."""
+        ...
+
+    def step(self, taps: Taps) -> None:
+        """Decide what the taps mean."""
+        ...
+
+    def fields(self) -> dict[str, tuple[tuple[int, ...], tuple[str, ...], str, str]]:
+        """What it keeps of each epoch: name -> (shape, dimensions, units, long name)."""
+        ...
+
+    def write(self, rows: dict[str, np.ndarray], k: int) -> None:
+        """Write row k of each field."""
+        ...
+
+
+def run(
+    scenario: Scenario,
+    seed: int = 1,
+    *,
+    progress: Callable[[float], None] | None = None,
+    filter: Filter | None = None,
+    samples: SyntheticIf | Recording | None = None,
+) -> Run:
+    """Fly a scenario.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    seed : int
+        Same seed, same bits.
+    progress : callable, optional
+        Called with the share that is done, 0 to 1.
+    filter : Filter, optional
+        A user's own filter in place of the scenario's (``step``, ``reset``).
+    samples : SyntheticIf or Recording, optional
+        IF samples of the same scenario and seed, to be shared by several runs.
+
+    Raises
+    ------
+    InvalidInput
+        The scenario cannot be flown: unknown filter or grade, too few satellites.
+    """
+    began = time.perf_counter()
+    world = World(scenario, seed, samples)
+    closure = new_closure(scenario, world.knows, filter)
+    history = fly(closure, world.correlator(), world.imu[0], scenario.duration_s, progress)
+    wall = time.perf_counter() - began
+    run_ = Run(
+        scenario=scenario.to_dict(),
+        seed=seed,
+        t_s=history.t_s,
+        variables=history.variables(world.names) | truth_variables(world, history.t_s),
+        events=[
+            Event(t, world.names[c] if c >= 0 else "", kind, why)
+            for t, c, kind, why in closure.events
+        ],
+        provenance=provenance(scenario, seed),
+        summary={},
+    )
+    run_.summary.update(_summary(run_, scenario, world, closure, wall, filter))
+    return run_
+
+
+def fly(
+    closure: Closure,
+    correlator: Correlator,
+    imu: Increments,
+    duration_s: float,
+    progress: Callable[[float], None] | None = None,
+) -> History:
+    """The main loop. It sees no world: a receiver, its correlator and its IMU are all there is."""
+    n_epoch = round(duration_s / closure.epoch_s)
+    history = History(closure, n_epoch)
+    report = max(1, round(PROGRESS_S / closure.epoch_s))
+    dt = imu.t_s[1] - imu.t_s[0]
+    ends = (imu.t_s[1:] / dt).round().astype(np.int64)  # in IMU intervals
+    # the interval that ended at the start has been told to the receiver
+    done = int(np.searchsorted(ends, 0, side="right"))
+    for k in range(n_epoch):
+        t_end = (k + 1) * closure.epoch_s
+        upto = int(np.searchsorted(ends, t_end / dt + 1e-6, side="right"))
+        nco = closure.steer(
+            t_end,
+            Increments(imu.t_s[done : upto + 1], imu.alpha_ib_b[done:upto], imu.nu_ib_b[done:upto]),
+        )
+        taps = correlator(nco)
+        closure.step(taps)
+        history.record(k, t_end, closure, nco, taps)
+        done = upto
+        if progress is not None and k % report == 0:
+            progress((k + 1) / n_epoch)
+    if progress is not None:
+        progress(1.0)
+    return history
+
+
+def new_closure(scenario: Scenario, knows: Knows, filter: Filter | None = None) -> Closure:
+    """The receiver of a scenario, with nothing but what it knows."""
+    r = scenario.receiver
+    spacing, piece_s = scenario.correlator.spacing_chips, 1.0 / scenario.imu.rate_hz
+    if r.closure == "ultra-tight":
+        if filter is None:
+            if r.filter not in CATALOG:
+                known = ", ".join(CATALOG)
+                raise InvalidInput(f"receiver.filter: {r.filter!r} given, expected one of {known}")
+            filter = make_filter(r.filter)
+        settings = Settings(
+            measurement=r.measurement,
+            hand_over_s=r.hand_over_s,
+            fall_back=r.fall_back,
+            epoch_s=r.epoch_s,
+        )
+        return UltraTight(knows, settings, filter, spacing, piece_s)
+    if filter is not None:
+        raise Unsupported(f"receiver.closure: {r.closure!r} has no filter to replace")
+    scalar = ScalarSettings(
+        integration_s=r.integration_s,
+        bandwidth_hz=r.bandwidth_hz,
+        fll_bandwidth_hz=r.fll_bandwidth_hz,
+        dll_bandwidth_hz=r.dll_bandwidth_hz,
+    )
+    return Scalar(knows, scalar, spacing, piece_s, aided=r.closure == "scalar-ins")
+
+
+def jump_window(scenario: Scenario) -> tuple[float, float] | None:
+    """From the first to the last instant of acceleration; the scenario may say otherwise."""
+    if scenario.jump_window_s is not None:
+        return scenario.jump_window_s
+    if not scenario.profile:
+        return None
+    return scenario.profile[0].t0_s, scenario.profile[-1].t1_s
+
+
+def _summary(
+    run_: Run, scenario: Scenario, world: World, closure: Closure, wall: float, own: Filter | None
+) -> dict[str, Any]:
+    r = scenario.receiver
+    tight = r.closure == "ultra-tight"
+    name = (type(own).__name__ if own is not None else r.filter) if tight else None
+    lost = dict.fromkeys(world.names)
+    for i, t in enumerate(closure.first_lost_s):
+        lost[world.names[i]] = round(float(t), 6) if np.isfinite(t) else None
+    return {
+        "scenario": scenario.name,
+        "filter": name,
+        "closure": r.closure,
+        "measurement": r.measurement if tight else None,
+        "correlator": scenario.correlator.kind,
+        "seed": run_.seed,
+        "duration_s": scenario.duration_s,
+        "n_satellites": len(world.names),
+        "lost_lock_s": lost,
+        "fall_backs": sum(e.kind == "fall-back" for e in run_.events),
+        **metrics.summarise(run_, jump_window(scenario)),
+        "wall_s": round(wall, 3),
+        "realtime_factor": round(scenario.duration_s / wall, 2),
+        "cpu_path": run_.provenance["cpu_path"],
+    }

@@ -1,0 +1,367 @@
+"""What the taps of a data bit say about range, rate and phase: models D and C.
+
+Both work on the two half-bit dumps (10 ms each for GPS L1 C/A) of one data bit, at the receiver
+time t_mid in its middle, and on errors (true - estimate) in metres and m/s along the line of
+sight.  Writing P, E, L for prompt, early, late, A^2 for the squared amplitude of one half-bit
+prompt in units of the noise variance, R for the correlation function of the code, T_h for the
+half bit, f = dv / wavelength and d = (dr + known code offset) / chip:
+
+* model D (differential, no data bits needed), y = (dr, dv), z = (Re D, Im D, S),
+  D = P1 conj(P2) / A^2, S = mean_h Re((L_h - E_h) conj P_h) / A^2:
+
+      h_I + j h_Q = R(d)^2 sinc^2(f T_h) exp(j 2 pi f T_h)
+      h_S = sinc^2(f T_h) R(d) (R(d - spacing) - R(d + spacing))
+
+* model C (coherent, data bits known), y = (dr, p, dv), z = (Re P, -Im P, S) with
+  P = bit (P1 + P2) / (2 A), p the carrier-phase error in metres at t_mid:
+
+      h_I + j h_Q = R(d) sinc(2 f T_h) exp(j 2 pi p / wavelength),   h_S as in D.
+
+Receding faster than predicted (dv > 0) turns P2 clockwise against P1, hence Im D > 0.
+A known rotation between NCO and reference (`steering`) is taken out of the taps before.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from signals.compiled import kernel
+from signals.constants import C_MPS, CA_CHIP_RATE_HZ
+from signals.nco import Taps
+from ultratight.filters.gaussian import Measurement
+from ultratight.tracking.steering import WAVELENGTH_M, Steering, mean_known
+
+CHIP_M = C_MPS / CA_CHIP_RATE_HZ
+EARLY, PROMPT, LATE = 0, 1, 2
+
+
+class Bits(NamedTuple):
+    """Data bits that are complete, one row each; and each channel's first half that waits."""
+
+    channel: np.ndarray  # (n_bit,) int64
+    index: np.ndarray  # (n_bit,) int64, number of the data bit
+    t_mid_s: np.ndarray  # (n_bit,)
+    half_s: np.ndarray  # (n_bit,) length of a half [s]
+    iq: np.ndarray  # (n_bit, 2, n_tap) complex, known rotation taken out
+    range_offset_m: np.ndarray  # (n_bit,) known reference - NCO of the code, mean over the bit
+
+
+class HalfBits:
+    """Pairs the half-bit dumps of each channel; a half that waits is kept with its times."""
+
+    def __init__(self, n_channel: int, n_tap: int) -> None:
+        self.index = np.full(n_channel, -(10**9), dtype=np.int64)
+        self.t_s = np.zeros((n_channel, 2))
+        self.iq = np.zeros((n_channel, n_tap), dtype=np.complex128)
+
+    def pair(self, taps: Taps, steering: Steering) -> Bits:
+        """Data bits that ended among these dumps, derotated by what is known of the NCO."""
+        n_dump = taps.channel.size
+        n_tap = self.iq.shape[1]
+        out = Bits(
+            np.empty(n_dump, dtype=np.int64),
+            np.empty(n_dump, dtype=np.int64),
+            np.empty(n_dump),
+            np.empty(n_dump),
+            np.empty((n_dump, 2, n_tap), dtype=np.complex128),
+            np.empty(n_dump),
+        )
+        n_bit = _pair_halves(
+            taps.channel, taps.index, taps.t_start_s, taps.t_end_s, taps.iq, taps.noise_var,
+            self.index, self.t_s, self.iq,
+            steering.known_t_s, steering.known_carrier, steering.known_range, out,
+        )  # fmt: skip
+        return Bits(*(a[:n_bit] for a in out))
+
+
+class LineOfSight(NamedTuple):
+    """Geometry of the epoch and where the error state keeps what."""
+
+    t_s: float
+    u: np.ndarray  # (n_channel, 3) antenna -> satellite
+    arm_e: np.ndarray  # (3,) lever arm in ECEF [m]
+    C_b_e: np.ndarray  # (3, 3)
+    force_e: np.ndarray  # (3,) mean specific force in ECEF [m/s2]
+
+
+class DifferentialModel:
+    """h and its Jacobian for model D; ``params`` (nb, 4): R1, known offset [m], T_h, spacing."""
+
+    def __init__(self, params: np.ndarray) -> None:
+        self.params = params
+
+    def __call__(self, y: np.ndarray) -> np.ndarray:
+        """Predicted z (nb, p, 3) at points y (nb, p, 2)."""
+        z = np.empty((y.shape[0], y.shape[1], 3))
+        _h_differential(y, self.params, z)
+        return z
+
+    def jacobian(self, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """z (nb, 3) and dz/dy (nb, 3, 2) at y (nb, 2)."""
+        J = np.empty((y.shape[0], 3, 2))
+        _jacobian_differential(y, self.params, J)
+        return self(y[:, None, :])[:, 0], J
+
+
+class CoherentModel:
+    """h and its Jacobian for model C; ``params`` as in `DifferentialModel`."""
+
+    def __init__(self, params: np.ndarray) -> None:
+        self.params = params
+
+    def __call__(self, y: np.ndarray) -> np.ndarray:
+        """Predicted z (nb, p, 3) at points y (nb, p, 3)."""
+        z = np.empty((y.shape[0], y.shape[1], 3))
+        _h_coherent(y, self.params, z)
+        return z
+
+    def jacobian(self, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """z (nb, 3) and dz/dy (nb, 3, 3) at y (nb, 3)."""
+        J = np.empty((y.shape[0], 3, 3))
+        _jacobian_coherent(y, self.params, J)
+        return self(y[:, None, :])[:, 0], J
+
+
+def differential(
+    bits: Bits,
+    los: LineOfSight,
+    n_state: int,
+    lag1: np.ndarray,
+    spacing_chips: float,
+    amplitude2: np.ndarray,
+    clock_sf: float,
+) -> Measurement:
+    """Model D.  lag1 (n_channel,): R at one chip; amplitude2 (n_channel,): A^2; clock_sf: S_f."""
+    nb = bits.channel.size
+    z, R, A = np.empty((nb, 3)), np.zeros((nb, 3, 3)), np.zeros((nb, 2, n_state))
+    params = np.empty((nb, 4))
+    _build(bits, los, lag1, spacing_chips, amplitude2, params, A, 1)
+    _z_differential(bits.iq, bits.channel, bits.half_s, amplitude2, clock_sf, z, R)
+    model = DifferentialModel(params)
+    return Measurement(z, A, R, model, model.jacobian, bits.channel)
+
+
+def coherent(
+    bits: Bits,
+    los: LineOfSight,
+    n_state: int,
+    phase_start: int,
+    data: np.ndarray,
+    lag1: np.ndarray,
+    spacing_chips: float,
+    amplitude2: np.ndarray,
+) -> Measurement:
+    """Model C.  phase_start: first row of the channel phases; data (nb,): known bits of +-1."""
+    nb = bits.channel.size
+    z, R, A = np.empty((nb, 3)), np.zeros((nb, 3, 3)), np.zeros((nb, 3, n_state))
+    params = np.empty((nb, 4))
+    _build(bits, los, lag1, spacing_chips, amplitude2, params, A, 2)
+    _phase_rows(bits.channel, bits.t_mid_s - los.t_s, phase_start, A)
+    _z_coherent(bits.iq, bits.channel, data, amplitude2, z, R)
+    model = CoherentModel(params)
+    return Measurement(z, A, R, model, model.jacobian, bits.channel)
+
+
+@kernel
+def _correlation(d, lag1):
+    """R(d): linear between the code's own values at lags 0 and 1, flat beyond."""
+    d = abs(d)
+    return 1.0 - d * (1.0 - lag1) if d < 1.0 else lag1
+
+
+@kernel
+def _slope(d, lag1):
+    """dR/dd, zero at the kinks."""
+    return 0.0 if abs(d) >= 1.0 else -np.sign(d) * (1.0 - lag1)
+
+
+@kernel
+def _sinc(x):
+    return 1.0 - x * x / 6.0 if abs(x) < 1e-4 else np.sin(x) / x
+
+
+@kernel
+def _pair_halves(
+    channel, index, t_start, t_end, iq, noise_var,
+    wait_index, wait_t, wait_iq, known_t, known_carrier, known_range, out,
+):  # fmt: skip
+    """Fill the rows of `Bits` in out; returns their number."""
+    n_bit = 0
+    for k in range(channel.size):
+        i = channel[k]
+        scale = 1.0 / np.sqrt(noise_var[k])
+        if index[k] % 2 == 0:
+            wait_index[i] = index[k]
+            wait_t[i, 0], wait_t[i, 1] = t_start[k], t_end[k]
+            wait_iq[i] = iq[k] * scale
+        elif wait_index[i] == index[k] - 1:
+            t0, t1, t2 = wait_t[i, 0], wait_t[i, 1], t_end[k]
+            turn1 = mean_known(known_t, known_carrier[:, i], t0, t1)
+            turn2 = mean_known(known_t, known_carrier[:, i], t_start[k], t2)
+            out.channel[n_bit] = i
+            out.index[n_bit] = index[k] // 2
+            out.t_mid_s[n_bit] = 0.5 * (t0 + t2)
+            out.half_s[n_bit] = 0.5 * (t2 - t0)
+            out.iq[n_bit, 0] = wait_iq[i] * np.exp(-2j * np.pi * turn1)
+            out.iq[n_bit, 1] = iq[k] * scale * np.exp(-2j * np.pi * turn2)
+            out.range_offset_m[n_bit] = mean_known(known_t, known_range[:, i], t0, t2)
+            n_bit += 1
+    return n_bit
+
+
+@kernel
+def _build(bits, los, lag1, spacing, amplitude2, params, A, rate_row):
+    """Rows of range (0) and rate (rate_row) of each bit, and the parameters of h."""
+    accel = los.force_e
+    for b in range(bits.channel.size):
+        i = bits.channel[b]
+        params[b, 0] = lag1[i]
+        params[b, 1] = bits.range_offset_m[b]
+        params[b, 2] = bits.half_s[b]
+        params[b, 3] = spacing
+        u = los.u[i]
+        dt = bits.t_mid_s[b] - los.t_s
+        # error at t_mid from the state at t: y = A Phi(dt) x, gravity gradient left out
+        tilt = np.cross(accel, u)  # d/d psi of -u.(psi x f) is -(f x u)
+        arm = np.cross(los.arm_e, u)
+        for k in range(3):
+            A[b, 0, k] = -u[k]
+            A[b, 0, 3 + k] = -u[k] * dt
+            A[b, 0, 6 + k] = -arm[k] - 0.5 * dt * dt * tilt[k]
+            A[b, rate_row, 3 + k] = -u[k]
+            A[b, rate_row, 6 + k] = -dt * tilt[k]
+            lever = los.C_b_e[0, k] * u[0] + los.C_b_e[1, k] * u[1] + los.C_b_e[2, k] * u[2]
+            A[b, 0, 9 + k] = 0.5 * dt * dt * lever
+            A[b, rate_row, 9 + k] = dt * lever
+        A[b, 0, 15] = 1.0
+        A[b, 0, 16] = dt
+        A[b, rate_row, 16] = 1.0
+
+
+@kernel
+def _phase_rows(channel, dt, phase_start, A):
+    """Row 1: the carrier-phase error at t_mid; it moves like the range, without its level."""
+    for b in range(channel.size):
+        A[b, 1, 3:6] = A[b, 0, 3:6]
+        # the attitude acts on the phase through the velocity only: half of the rate's share
+        A[b, 1, 6:12] = 0.5 * dt[b] * A[b, 2, 6:12]
+        A[b, 1, 16] = dt[b]
+        A[b, 1, phase_start + channel[b]] = 1.0
+
+
+@kernel
+def _z_differential(iq, channel, half_s, amplitude2, clock_sf, z, R):
+    for b in range(channel.size):
+        a2 = amplitude2[channel[b]]
+        first, second = iq[b, 0], iq[b, 1]
+        d = first[1] * np.conj(second[1]) / a2
+        s1 = ((first[2] - first[0]) * np.conj(first[1])).real
+        s2 = ((second[2] - second[0]) * np.conj(second[1])).real
+        z[b, 0] = d.real
+        z[b, 1] = d.imag
+        z[b, 2] = 0.5 * (s1 + s2) / a2
+        r = 2.0 / a2 + 2.0 / a2**2
+        R[b, 0, 0] = r
+        # white frequency noise of the oscillator turns one half against the other
+        R[b, 1, 1] = r + (2.0 * np.pi / WAVELENGTH_M) ** 2 * clock_sf * (2.0 / 3.0) * half_s[b]
+        R[b, 2, 2] = 0.5 * (1.0 / a2 + 2.0 / a2**2)
+
+
+@kernel
+def _z_coherent(iq, channel, data, amplitude2, z, R):
+    for b in range(channel.size):
+        a2 = amplitude2[channel[b]]
+        first, second = iq[b, 0], iq[b, 1]
+        p = data[b] * (first[1] + second[1]) / (2.0 * np.sqrt(a2))
+        s1 = ((first[2] - first[0]) * np.conj(first[1])).real
+        s2 = ((second[2] - second[0]) * np.conj(second[1])).real
+        z[b, 0] = p.real
+        z[b, 1] = -p.imag
+        z[b, 2] = 0.5 * (s1 + s2) / a2
+        R[b, 0, 0] = 0.5 / a2
+        R[b, 1, 1] = 0.5 / a2
+        R[b, 2, 2] = 0.5 * (1.0 / a2 + 2.0 / a2**2)
+
+
+@kernel
+def _h_differential(y, params, z):
+    for b in range(y.shape[0]):
+        lag1, offset, half, spacing = params[b]
+        for k in range(y.shape[1]):
+            d = (y[b, k, 0] + offset) / CHIP_M
+            x = np.pi * y[b, k, 1] / WAVELENGTH_M * half
+            loss = _sinc(x) ** 2
+            r = _correlation(d, lag1)
+            z[b, k, 0] = r * r * loss * np.cos(2.0 * x)
+            z[b, k, 1] = r * r * loss * np.sin(2.0 * x)
+            split = _correlation(d - spacing, lag1) - _correlation(d + spacing, lag1)
+            z[b, k, 2] = loss * r * split
+
+
+@kernel
+def _h_coherent(y, params, z):
+    for b in range(y.shape[0]):
+        lag1, offset, half, spacing = params[b]
+        for k in range(y.shape[1]):
+            d = (y[b, k, 0] + offset) / CHIP_M
+            phase = 2.0 * np.pi * y[b, k, 1] / WAVELENGTH_M
+            x = np.pi * y[b, k, 2] / WAVELENGTH_M * half
+            r = _correlation(d, lag1)
+            amplitude = r * _sinc(2.0 * x)
+            z[b, k, 0] = amplitude * np.cos(phase)
+            z[b, k, 1] = amplitude * np.sin(phase)
+            split = _correlation(d - spacing, lag1) - _correlation(d + spacing, lag1)
+            z[b, k, 2] = _sinc(x) ** 2 * r * split
+
+
+@kernel
+def _sinc_slope(x):
+    return -x / 3.0 if abs(x) < 1e-4 else (np.cos(x) - np.sin(x) / x) / x
+
+
+# In the Jacobians the prompt's R(d) counts as constant: its peak is a kink, whose one-sided slope
+# would tell an extended Kalman filter a range error from the amplitude alone.
+
+
+@kernel
+def _jacobian_differential(y, params, J):
+    for b in range(y.shape[0]):
+        lag1, offset, half, spacing = params[b]
+        d = (y[b, 0] + offset) / CHIP_M
+        to_x = np.pi / WAVELENGTH_M * half
+        x = to_x * y[b, 1]
+        s = _sinc(x)
+        ds = _sinc_slope(x)
+        r = _correlation(d, lag1)
+        split = _correlation(d - spacing, lag1) - _correlation(d + spacing, lag1)
+        split_slope = _slope(d - spacing, lag1) - _slope(d + spacing, lag1)
+        c, q = np.cos(2.0 * x), np.sin(2.0 * x)
+        J[b, :, :] = 0.0
+        J[b, 0, 1] = r * r * to_x * (2.0 * s * ds * c - 2.0 * s * s * q)
+        J[b, 1, 1] = r * r * to_x * (2.0 * s * ds * q + 2.0 * s * s * c)
+        J[b, 2, 0] = s * s * r * split_slope / CHIP_M
+        J[b, 2, 1] = 2.0 * s * ds * to_x * r * split
+
+
+@kernel
+def _jacobian_coherent(y, params, J):
+    for b in range(y.shape[0]):
+        lag1, offset, half, spacing = params[b]
+        d = (y[b, 0] + offset) / CHIP_M
+        phase = 2.0 * np.pi * y[b, 1] / WAVELENGTH_M
+        to_x = np.pi / WAVELENGTH_M * half
+        x = to_x * y[b, 2]
+        s, s2 = _sinc(x), _sinc(2.0 * x)
+        r = _correlation(d, lag1)
+        split = _correlation(d - spacing, lag1) - _correlation(d + spacing, lag1)
+        split_slope = _slope(d - spacing, lag1) - _slope(d + spacing, lag1)
+        c, q = np.cos(phase), np.sin(phase)
+        J[b, :, :] = 0.0
+        J[b, 0, 1] = -r * s2 * q * 2.0 * np.pi / WAVELENGTH_M
+        J[b, 1, 1] = r * s2 * c * 2.0 * np.pi / WAVELENGTH_M
+        J[b, 0, 2] = r * c * _sinc_slope(2.0 * x) * 2.0 * to_x
+        J[b, 1, 2] = r * q * _sinc_slope(2.0 * x) * 2.0 * to_x
+        J[b, 2, 0] = s * s * r * split_slope / CHIP_M
+        J[b, 2, 2] = 2.0 * s * _sinc_slope(x) * to_x * r * split

@@ -1,0 +1,253 @@
+"""The ultra-tight closure: INS and one filter command every NCO; there are no channel loops."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from signals.codes import GPS_L1CA
+from signals.nco import Nco, Taps
+from signals.propagation import code_phase_origin
+from ultratight.filters.gaussian import Filter, Gaussian, Measurement, Prediction, Update
+from ultratight.ins.error_state import Layout, ProcessNoise, transition
+from ultratight.ins.imu import Increments
+from ultratight.tracking.knows import Knows
+from ultratight.tracking.lock import LockMonitor
+from ultratight.tracking.measurements import PROMPT, Bits, HalfBits, LineOfSight
+from ultratight.tracking.measurements import coherent as coherent_model
+from ultratight.tracking.measurements import differential as differential_model
+from ultratight.tracking.steering import (
+    WAVELENGTH_M,
+    feed_back,
+    new_steering,
+    predict_now,
+    steer_epoch,
+)
+
+HALF_BIT_CHIPS = 10_230
+AMPLITUDE_GAIN = 0.02
+"""Share of each bit in the running A^2: a time constant of 1 s"""
+AMPLITUDE2_FLOOR = 0.5
+HALF_BIT_S = 0.01
+
+
+class Settings(NamedTuple):
+    """What the closure may be told; see `ultratight.scenario.Receiver` for the meanings."""
+
+    measurement: str = "coherent"
+    hand_over_s: float = 2.0
+    fall_back: bool = True
+    return_s: float = 2.0
+    epoch_s: float = 0.02
+
+
+class UltraTight:
+    """A receiver whose filter is the loop: `steer` gives the command, `step` takes the taps.
+
+    Parameters
+    ----------
+    knows : Knows
+        Everything that the receiver is told at the start; there is no other source of truth.
+    settings : Settings
+    filter_ : Filter
+        Any object with ``step(state, prediction, measurement) -> Update`` and ``reset()``.
+    spacing_chips : float
+        Early and late replicas stand this far from the prompt.
+    piece_s : float
+        IMU interval: the command has one piece for each.
+    """
+
+    def __init__(
+        self,
+        knows: Knows,
+        settings: Settings,
+        filter_: Filter,
+        spacing_chips: float,
+        piece_s: float,
+    ) -> None:
+        self.knows, self.settings, self.filter = knows, settings, filter_
+        self.spacing_chips = spacing_chips
+        n = self.n_channel = knows.prn.size
+        self.layout = Layout.build()
+        self.noise: ProcessNoise = knows.process_noise
+        self.cov = knows.initial_covariance()
+        self.steering = new_steering(n, piece_s)
+        self.half_bits = HalfBits(n, 3)
+        self.lag1 = np.array([GPS_L1CA.autocorrelation(int(p))[1] for p in knows.prn])
+        self.amplitude2 = 2.0 * 10.0 ** (knows.cn0_dbhz / 10.0) * HALF_BIT_S
+        self.prompt = np.zeros(n, dtype=np.complex128)
+        self.lock = LockMonitor(n, settings.epoch_s)
+        self.coherent = False
+        self.returns_at_s = settings.hand_over_s
+        self.epoch = 0
+        self.t_s = 0.0
+        self.events: list[tuple[float, int, str, str]] = []
+        self.update: Update | None = None
+        self.bits: Bits | None = None
+        self.dump_chips = np.full(n, HALF_BIT_CHIPS, dtype=np.int64)
+        self.valid = np.ones(n, dtype=np.bool_)
+        self._start()
+
+    def _start(self) -> None:
+        k, s = self.knows, self.steering
+        s.r_eb_e[:], s.v_eb_e[:], s.C_b_e[:] = k.r_eb_e, k.v_eb_e, k.C_b_e
+        s.clock[:] = k.clock_m, k.clock_rate_mps
+        s.last_nu[:] = k.first_nu
+        s.last_alpha[:] = k.first_alpha
+        predict_now(s, k.elements, k.start_tow_s, k.lever_arm_b_m)
+
+    def steer(self, t_end_s: float, imu: Increments) -> Nco:
+        """Command one piece per increment of the epoch; each uses only earlier increments."""
+        k, m, n = self.knows, imu.t_s.size - 1, self.n_channel
+        code, rate, phase, freq, ramp = (np.empty((m, n)) for _ in range(5))
+        steer_epoch(
+            self.steering, imu.t_s, imu.alpha_ib_b, imu.nu_ib_b, k.elements, k.start_tow_s,
+            code_phase_origin(k.start_tow_s), k.lever_arm_b_m,
+            code, rate, phase, freq, ramp,
+        )  # fmt: skip
+        self.t_s = t_end_s
+        return Nco(imu.t_s, code, rate, phase, freq, ramp, self.dump_chips, self.valid)
+
+    def step(self, taps: Taps) -> None:
+        """Weigh what came against what was expected; feed the correction back."""
+        bits = self.bits = self.half_bits.pair(taps, self.steering)
+        measurement = self._measurement(bits)
+        self._track_amplitude(bits)
+        prediction = self._prediction()
+        n = prediction.phi.shape[0]
+        u = self.update = self.filter.step(Gaussian(np.zeros(n), self.cov), prediction, measurement)
+        self.cov = u.cov
+        phase_m = u.mean[self.layout.phase] if self.coherent else np.zeros(self.n_channel)
+        self._feed_back(u.mean, phase_m)
+        self.events += self.lock.watch(self.t_s, bits.channel, measurement.z[:, 0])
+        self._choose_model(u, measurement)
+        self.epoch += 1
+
+    def _measurement(self, bits: Bits) -> Measurement:
+        s, k = self.steering, self.knows
+        arm = s.C_b_e @ k.lever_arm_b_m
+        los = LineOfSight(self.t_s, s.u, arm, s.C_b_e, s.C_b_e @ s.mean_force[0])
+        shared = (self.lag1, self.spacing_chips, self.amplitude2)
+        data = k.bits_of(bits.channel, bits.index)
+        if data is not None and bits.channel.size:
+            self.prompt[bits.channel] = data * bits.iq[:, :, PROMPT].sum(axis=1)
+        if not self.coherent:
+            return differential_model(bits, los, self.layout.n, *shared, self.noise.clock_sf)
+        if data is None:
+            raise ValueError("receiver.knows.data_bits: the coherent model needs them")
+        return coherent_model(bits, los, self.layout.n, self.layout.phase.start, data, *shared)
+
+    def _track_amplitude(self, bits: Bits) -> None:
+        power = 0.5 * (np.abs(bits.iq[:, :, PROMPT]) ** 2).sum(axis=1) - 2.0
+        a2 = self.amplitude2
+        a2[bits.channel] += AMPLITUDE_GAIN * (power - a2[bits.channel])
+        np.maximum(a2, AMPLITUDE2_FLOOR, out=a2)
+
+    def _prediction(self) -> Prediction:
+        s = self.steering
+        phi, q = transition(
+            self.layout, self.noise, s.r_eb_e, s.C_b_e, s.mean_force[0], s.u, self.settings.epoch_s
+        )
+        return Prediction(
+            phi, q, self.t_s, self.epoch, self.settings.epoch_s, s.mean_force[0].copy(),
+            s.mean_force[0] - s.mean_force[1] if self.epoch else np.zeros(3),
+            s.C_b_e.copy(), self.layout, self.n_channel,
+        )  # fmt: skip
+
+    def _feed_back(self, x: np.ndarray, phase_m: np.ndarray) -> None:
+        k = self.knows
+        feed_back(
+            self.steering, x, phase_m, k.elements, k.start_tow_s + self.t_s, self.t_s,
+            k.lever_arm_b_m,
+        )  # fmt: skip
+
+    def _choose_model(self, u: Update, measurement: Measurement) -> None:
+        """Start in D, hand over to C; on loss fall back to D for a while, if allowed."""
+        if self.settings.measurement != "coherent":
+            return
+        if not self.coherent:
+            if self.t_s >= self.returns_at_s - 1e-9:
+                self._hand_over()
+            return
+        self.lock.watch_quadrature(u, measurement)
+        reason = self.lock.loss()
+        if reason and self.settings.fall_back:
+            self._fall_back(reason)
+
+    def _hand_over(self) -> None:
+        n = self.layout.n
+        self.layout = Layout.build(n_phase=self.n_channel)
+        cov = np.eye(self.layout.n) * (WAVELENGTH_M / (2.0 * np.pi)) ** 2
+        cov[:n, :n] = self.cov
+        self.cov = cov
+        self._feed_back(np.zeros(n), -np.angle(self.prompt) * WAVELENGTH_M / (2.0 * np.pi))
+        self.coherent = True
+        self.filter.reset()
+        self.lock.restart()
+        self.events.append((self.t_s, -1, "hand-over", "differential to coherent"))
+
+    def _fall_back(self, reason: str) -> None:
+        self.layout = Layout.build()
+        self.cov = np.ascontiguousarray(self.cov[: self.layout.n, : self.layout.n])
+        self.coherent = False
+        self.returns_at_s = self.t_s + self.settings.return_s
+        self.filter.reset()
+        self.lock.restart()
+        self.events.append((self.t_s, -1, "fall-back", reason))
+
+    @property
+    def epoch_s(self) -> float:
+        """Length of an epoch [s]."""
+        return self.settings.epoch_s
+
+    @property
+    def first_lost_s(self) -> np.ndarray:
+        """(n_channel,) first loss of lock [s], NaN where there was none."""
+        return self.lock.first_lost_s
+
+    @property
+    def cn0_dbhz(self) -> np.ndarray:
+        """Running estimate of C/N0 per channel, from the amplitude [dB-Hz]."""
+        return 10.0 * np.log10(self.amplitude2 / (2.0 * HALF_BIT_S))
+
+    def fields(self) -> dict[str, tuple[tuple[int, ...], tuple[str, ...], str, str]]:
+        """What is kept of each epoch; phases of the channels are not in ``sigma``."""
+        n = self.n_channel
+        channel = ((n,), ("channel",))
+        return {
+            "r_eb_e": ((3,), ("xyz",), "m", "estimated IMU position, ECEF"),
+            "v_eb_e": ((3,), ("xyz",), "m/s", "estimated IMU velocity, ECEF"),
+            "C_b_e": ((3, 3), ("row", "column"), "1", "estimated attitude, body to ECEF"),
+            "accel_bias": ((3,), ("axis",), "m/s2", "estimated accelerometer bias"),
+            "gyro_bias": ((3,), ("axis",), "rad/s", "estimated gyro bias"),
+            "clock_m": ((), (), "m", "estimated receiver clock bias"),
+            "clock_rate": ((), (), "m/s", "estimated receiver clock drift"),
+            "sigma": ((17,), ("state",), "m, m/s, rad, m/s2, rad/s, m, m/s", "1 sigma, 17 states"),
+            "cov_velocity": ((3, 3), ("row", "column"), "m2/s2", "covariance of the velocity"),
+            "nis": ((), (), "1", "normalised innovation squared of the epoch"),
+            "n_measurement": ((), (), "1", "numbers measured in the epoch"),
+            "fading_factor": ((), (), "1", "fading factor in use"),
+            "coherent": ((), (), "1", "1 in the coherent model, 0 in the differential one"),
+            "lock_indicator": (*channel, "1", "running mean of the in-phase measurement"),
+            "cn0": (*channel, "dB-Hz", "estimated C/N0"),
+        }
+
+    def write(self, rows: dict[str, np.ndarray], k: int) -> None:
+        """Write row k of each field."""
+        s, u = self.steering, self.update
+        rows["r_eb_e"][k] = s.r_eb_e
+        rows["v_eb_e"][k] = s.v_eb_e
+        rows["C_b_e"][k] = s.C_b_e
+        rows["accel_bias"][k] = s.accel_bias
+        rows["gyro_bias"][k] = s.gyro_bias
+        rows["clock_m"][k], rows["clock_rate"][k] = s.clock
+        rows["sigma"][k] = np.sqrt(np.abs(self.cov.diagonal()[:17]))
+        rows["cov_velocity"][k] = self.cov[3:6, 3:6]
+        if u is not None:
+            rows["nis"][k] = u.nis
+            rows["n_measurement"][k] = u.innovation.size
+            rows["fading_factor"][k] = u.lam
+        rows["coherent"][k] = self.coherent
+        rows["lock_indicator"][k] = self.lock.indicator
+        rows["cn0"][k] = self.cn0_dbhz

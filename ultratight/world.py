@@ -1,0 +1,290 @@
+"""World: the truth of a scenario and a seed. The receiver sees its IMU, its signals, its `Knows`.
+
+One trajectory drives everything: the antenna's motion becomes delay and phase of each satellite,
+and the same motion becomes the increments of the IMU, which is then made imperfect.  Every noise
+source has its own named stream, so that switching one off changes no other.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from signals import clock, satellites
+from signals.codes import GPS_L1CA
+from signals.constants import C_MPS
+from signals.correlator import SampleCorrelator
+from signals.correlator_model import ModelCorrelator
+from signals.front_end import Recording, SyntheticIf
+from signals.nco import Correlator
+from signals.noise import generator
+from signals.propagation import (
+    SignalState,
+    elevation_azimuth,
+    predict_channels,
+    signal_state,
+    symbol_span,
+)
+from signals.rinex import read_navigation
+from ultratight.data_sheets import imu_errors, oscillator, process_noise
+from ultratight.ins.attitude import rotation_from_vector
+from ultratight.ins.earth import rotation_e_from_n
+from ultratight.ins.imu import ImuErrors, Increments, corrupt
+from ultratight.ins.trajectory import Segment, Trajectory
+from ultratight.scenario import InvalidInput, Scenario, Unsupported
+from ultratight.tracking.knows import Knows
+
+NODE_S = 0.005
+"""Spacing of the nodes of the truth [s]"""
+FEWEST_SATELLITES = 4
+
+
+class World:
+    """The simulated world.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    seed : int
+        Seed of every named random stream.
+    samples : SyntheticIf or Recording, optional
+        IF samples to use in place of the world's own: several receivers can then share them.
+
+    Raises
+    ------
+    InvalidInput
+        The sky of the scenario has fewer than four satellites, or no ephemeris at its time.
+    """
+
+    def __init__(
+        self, scenario: Scenario, seed: int, samples: SyntheticIf | Recording | None = None
+    ) -> None:
+        self.scenario, self.seed = scenario, seed
+        self._samples = samples
+        lat, lon, h = scenario.position_lla_deg_m
+        self.trajectory = Trajectory.from_profile(
+            (np.radians(lat), np.radians(lon), h),
+            np.radians(scenario.heading_deg),
+            scenario.speed_mps,
+            [
+                Segment(
+                    s.t0_s,
+                    s.t1_s,
+                    s.accel0_mps2,
+                    s.accel1_mps2,
+                    np.radians(s.turn_rate0_deg_s),
+                    np.radians(s.turn_rate1_deg_s),
+                )
+                for s in scenario.profile
+            ],
+            duration_s=scenario.duration_s,
+        )
+        n_node = int(np.ceil(scenario.duration_s / NODE_S - 1e-9)) + 1
+        self.t_s = np.arange(n_node) * NODE_S
+        self.lever_arm_b_m = np.array(scenario.imu.lever_arm_b_m)
+        self._start_clock()
+        self._choose_satellites()
+
+    def _start_clock(self) -> None:
+        c = self.scenario.clock
+        self.oscillator = oscillator("clock.model", c.model)
+        # at the middles: the force steps at nodes
+        force = self.trajectory.specific_force(self.t_s[:-1] + 0.5 * NODE_S)[:, 0]
+        self.clock_m, self.clock_rate_mps = clock.simulate(
+            self.oscillator,
+            self.t_s,
+            generator(self.seed, "clock"),
+            c.bias_m,
+            c.drift_mps,
+            c.g_sensitivity_ppb_per_g,
+            force,
+        )[:2]
+
+    def _choose_satellites(self) -> None:
+        s = self.scenario
+        try:
+            sky = _constellation(s)
+            prn, rows = sky.select(s.start_week, s.start_tow_s)
+        except (ValueError, OSError) as error:
+            raise InvalidInput(f"constellation: {error}") from None
+        r, v = self.antenna(np.zeros(1))
+        rho, rate, u = np.empty(prn.size), np.empty(prn.size), np.empty((prn.size, 3))
+        predict_channels(rows, s.start_tow_s, r[0], v[0], 0.0, 0.0, rho, rate, u)
+        elevation = np.degrees(elevation_azimuth(r[0], u)[0])
+        keep = elevation >= s.mask_deg
+        if s.prns is not None:
+            keep &= np.isin(prn, s.prns)
+        order = np.argsort(-elevation, kind="stable")
+        chosen = np.sort([i for i in order if keep[i]][: s.max_satellites])
+        if len(chosen) < FEWEST_SATELLITES:
+            raise InvalidInput(
+                f"mask_deg: {len(chosen)} satellites at or above {s.mask_deg:g} deg at the start, "
+                f"expected at least {FEWEST_SATELLITES}"
+            )
+        self.prn, self.elements = prn[chosen], np.ascontiguousarray(rows[chosen])
+
+    @property
+    def names(self) -> list[str]:
+        """Channel names, such as G05:L1CA."""
+        return [f"G{p:02d}:L1CA" for p in self.prn]
+
+    def true_time(self, t_s: np.ndarray) -> np.ndarray:
+        """GPS time since the nominal start, at receiver times [s]."""
+        late = np.minimum(t_s, 0.0) * self.clock_rate_mps[0]
+        return t_s - (np.interp(t_s, self.t_s, self.clock_m) + late) / C_MPS
+
+    def antenna(self, t_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """True antenna position and velocity (n, 3) at receiver times [m, m/s]."""
+        return self.trajectory.antenna(self.true_time(t_s), self.lever_arm_b_m)
+
+    @cached_property
+    def signal(self) -> SignalState:
+        """Delay and phase of each satellite as they reach the antenna."""
+        r, v = self.antenna(self.t_s)
+        first, n_bit = symbol_span(self.scenario.start_tow_s, self.t_s)
+        symbols = np.stack(
+            [
+                1 - 2 * generator(self.seed, f"data-bits.G{p:02d}").integers(0, 2, n_bit)
+                for p in self.prn
+            ]
+        ).astype(np.int8)
+        return signal_state(
+            self.elements,
+            self.scenario.start_tow_s,
+            self.t_s,
+            r,
+            v,
+            self.clock_m,
+            self.clock_rate_mps,
+            self._cn0_dbhz(),
+            symbols,
+            first,
+        )
+
+    def _cn0_dbhz(self) -> np.ndarray:
+        s = self.scenario
+        level = np.array([s.channel.cn0_by_prn_dbhz.get(f"G{p:02d}", s.cn0_dbhz) for p in self.prn])
+        if not s.channel.cn0_profile_s_db:
+            return level
+        t, offset = np.array(s.channel.cn0_profile_s_db).T
+        return level[:, None] + np.interp(self.t_s, t, offset)
+
+    @cached_property
+    def imu(self) -> tuple[Increments, dict[str, np.ndarray]]:
+        """What the IMU reports from one interval before the start on, and its true errors."""
+        dt = 1.0 / self.scenario.imu.rate_hz
+        n = round(self.scenario.duration_s / dt)
+        t = np.arange(-1, n + 1) * dt
+        alpha, nu = self.trajectory.increments(self.true_time(t))
+        return corrupt(Increments(t, alpha, nu), self.errors, self.seed)
+
+    @cached_property
+    def errors(self) -> ImuErrors:
+        """The grade with the scenario's changes; a fixed scale factor alternates by seed."""
+        return imu_errors(self.scenario, self.seed)
+
+    @cached_property
+    def chips(self) -> np.ndarray:
+        """(n_channel, 1023) int8 codes of the channels."""
+        return np.stack([GPS_L1CA.chips(int(p)) for p in self.prn])
+
+    @cached_property
+    def samples(self) -> SyntheticIf | Recording:
+        """The IF samples: those given, or the world's own, generated where they are asked for."""
+        if self._samples is not None:
+            return self._samples
+        f = self.scenario.front_end
+        return SyntheticIf(
+            self.signal,
+            self.chips,
+            sample_rate_hz=f.sample_rate_hz,
+            if_hz=f.if_hz,
+            seed=self.seed,
+            sample_format=f.sample_format,
+        )
+
+    def correlator(self) -> Correlator:
+        """A fresh correlator of the scenario's kind."""
+        c = self.scenario.correlator
+        if c.kind == "model":
+            if self._samples is not None:
+                raise Unsupported("correlator.kind: the closed form takes no samples")
+            return ModelCorrelator(
+                self.signal,
+                self.chips,
+                self.prn,
+                self.offset_chips,
+                self.seed,
+                multiple_access=c.multiple_access,
+            )
+        return SampleCorrelator(self.samples, self.chips, self.offset_chips)
+
+    @property
+    def offset_chips(self) -> np.ndarray:
+        """Early, prompt, late."""
+        spacing = self.scenario.correlator.spacing_chips
+        return np.array([-spacing, 0.0, spacing])
+
+    @cached_property
+    def knows(self) -> Knows:
+        """What the receiver is told: drawn around the truth with the stated sigmas."""
+        s, k = self.scenario, self.scenario.receiver.knows
+        for key in ("bit_edges", "ephemerides", "initial_state"):
+            if not getattr(k, key):
+                raise Unsupported(
+                    f"receiver.knows.{key}: false given, expected true (acquisition, bit "
+                    "synchronisation and navigation-data decoding are not built yet)"
+                )
+        rng = generator(self.seed, "receiver.initial-state")
+        m = self.trajectory.at(self.true_time(np.zeros(1)))
+        lat, lon, _ = np.radians(s.position_lla_deg_m[:2]).tolist() + [0.0]
+        tilt, heading = 1e-3 * k.tilt_sigma_mrad, 1e-3 * k.heading_sigma_mrad
+        r = m.r_eb_e[0] - k.position_sigma_m * rng.standard_normal(3)
+        v = m.v_eb_e[0] - k.velocity_sigma_mps * rng.standard_normal(3)
+        psi = rotation_e_from_n(lat, lon) @ (rng.standard_normal(3) * [tilt, tilt, heading])
+        clock_m = self.clock_m[0] - k.clock_sigma_m * rng.standard_normal()
+        rate = self.clock_rate_mps[0] - k.clock_rate_sigma_mps * rng.standard_normal()
+        e = self.errors
+        sigma = np.repeat(
+            [
+                k.position_sigma_m,
+                k.velocity_sigma_mps,
+                max(tilt, heading),
+                np.hypot(e.accel_bias_turn_on, e.accel_bias_in_run),
+                np.hypot(e.gyro_bias_turn_on, e.gyro_bias_in_run),
+            ],
+            3,
+        )
+        increments = self.imu[0]
+        cn0 = self.signal.cn0_dbhz[:, 0] + k.cn0_sigma_db * generator(
+            self.seed, "receiver.cn0"
+        ).standard_normal(self.prn.size)
+        return Knows(
+            start_week=s.start_week,
+            start_tow_s=s.start_tow_s,
+            prn=self.prn,
+            elements=self.elements,
+            cn0_dbhz=cn0,
+            r_eb_e=r,
+            v_eb_e=v,
+            C_b_e=rotation_from_vector(-psi) @ m.C_b_e[0],
+            clock_m=float(clock_m),
+            clock_rate_mps=float(rate),
+            first_alpha=increments.alpha_ib_b[0],
+            first_nu=increments.nu_ib_b[0],
+            sigma=np.append(sigma, [k.clock_sigma_m, k.clock_rate_sigma_mps]),
+            lever_arm_b_m=self.lever_arm_b_m,
+            noise=np.array(process_noise(s, e)),
+            data_bits=self.signal.symbols if k.data_bits else None,
+            first_bit=self.signal.first_symbol,
+        )
+
+
+def _constellation(s: Scenario) -> satellites.Constellation:
+    if s.constellation == "embedded":
+        return satellites.embedded()
+    if s.constellation == "nominal-24":
+        return satellites.nominal_24(s.start_week, s.start_tow_s)
+    return read_navigation(Path(s.constellation))
