@@ -97,7 +97,7 @@ def test_rate_is_the_derivative_of_the_pseudorange(index):
     # five-point rule at h = 0.25 s: truncation h^4/30 x 5th derivative (1e-9 m/s^5 for orbit and
     # quadratic motion) is nothing; rounding 1.5 x 2e-8 m / h = 1e-7 m/s
     row = ROWS[index].copy()
-    row[satellites.AF1] += 1e-9  # a satellite clock that shows
+    row[satellites.AF1] += 1e-7  # a satellite clock whose (1 - tau_dot) shows
 
     def rho(t: float) -> tuple[float, float]:
         clock_m, rate = drifting(t)
