@@ -219,7 +219,8 @@ def _transition(
                 m += 1
         for a in range(m):
             for b in range(m):
-                Q[rows[a], rows[b]] += 0.5 * T * g * column[rows[a]] * column[rows[b]]
+                # in this order the two halves of Q get the same bits
+                Q[rows[a], rows[b]] += 0.5 * T * g * (column[rows[a]] * column[rows[b]])
         if k < n:
             Q[k, k] += 0.5 * T * g
     for i in range(CB, n):
