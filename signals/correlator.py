@@ -27,7 +27,7 @@ from signals.front_end import GUARD_SAMPLES, first_sample_at
 from signals.nco import Nco, Taps
 from signals.noise import CELL
 from signals.recording import IfSource
-from signals.replica import carrier_steps, code_steps, replica_table
+from signals.replica import carrier_phase, carrier_steps, code_steps, replica_table
 
 _BLOCK = 64 * CELL  # samples taken from the source at a time
 
@@ -184,14 +184,13 @@ def _deinterleave(block: np.ndarray, i: np.ndarray, q: np.ndarray) -> None:
 
 @kernel(fastmath=FAST_SUM)
 def _wipe(
-    i: np.ndarray, q: np.ndarray, base: int, step: int, bend: Any, wi: np.ndarray, wq: np.ndarray
+    i: np.ndarray, q: np.ndarray, base: Any, step: Any, bend: Any, wi: np.ndarray, wq: np.ndarray
 ) -> None:
     """Samples (n,) times the conjugate carrier into wi, wq (n,)."""
     n = i.shape[0]
     last = _F(n)
     for j in range(n):
-        x = _F(np.int32(j))
-        c, s = cos_sin(base + j * step, bend * x * (last - x))
+        c, s = cos_sin(carrier_phase(j, base, step, bend, last))
         wi[j] = i[j] * c + q[j] * s
         wq[j] = q[j] * c - i[j] * s
 

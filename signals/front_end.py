@@ -30,7 +30,7 @@ from signals.elementary import cos_sin
 from signals.noise import CELL, complex_gaussian_cell, stream_key
 from signals.propagation import SignalState
 from signals.recording import Recording, SampleFormat, check_range
-from signals.replica import carrier_steps, code_steps, replica_table
+from signals.replica import carrier_phase, carrier_steps, code_steps, replica_table
 
 GUARD_SAMPLES = 1e-5
 """Instants this little after a sample still include it: float64 resolves 2e-6 samples at 1 h"""
@@ -219,14 +219,13 @@ def _fill_chips(chip: np.ndarray, code_base: Any, code_step: Any, table: np.ndar
 
 @kernel(fastmath=FAST_SUM)
 def _add_carrier(
-    i: np.ndarray, q: np.ndarray, chip: np.ndarray, amplitude: Any, base: int, step: int, bend: Any
+    i: np.ndarray, q: np.ndarray, chip: np.ndarray, amplitude: Any, base: Any, step: Any, bend: Any
 ) -> None:
     """Add amplitude x chip x carrier to float32 i, q (n,)."""
     n = i.shape[0]
     last = _F(n)
     for j in range(n):
-        x = _F(np.int32(j))
-        c, s = cos_sin(base + j * step, bend * x * (last - x))
+        c, s = cos_sin(carrier_phase(j, base, step, bend, last))
         i[j] += amplitude * chip[j] * c
         q[j] += amplitude * chip[j] * s
 

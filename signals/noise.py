@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from signals.compiled import kernel
-from signals.elementary import cos_sin, log
+from signals.elementary import cos_sin, log, wrap
 
 CELL = 1024
 """Samples in a cell of `complex_gaussian_cell`: sample j and j + CELL / 2 share a counter"""
@@ -75,7 +75,7 @@ def _box_muller(w0: Any, w1: Any) -> tuple[Any, Any]:
     """Two float32 normals of two words; the 32-bit uniform in the log reaches 6.7 sigma."""
     u = (_F(np.uint32(w0)) + _HALF) * _UNIT
     radius = _F(math.sqrt(max(_MINUS_TWO * log(u), _ZERO)))
-    c, s = cos_sin(np.int64(w1), _ZERO)
+    c, s = cos_sin(wrap(np.int64(w1)))
     return radius * c, radius * s
 
 

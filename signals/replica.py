@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from signals.compiled import kernel
-from signals.elementary import TURN
+from signals.elementary import TURN, wrap
 
 
 def replica_table(chips: np.ndarray) -> np.ndarray:
@@ -25,14 +25,22 @@ def replica_table(chips: np.ndarray) -> np.ndarray:
 
 @kernel
 def carrier_steps(start: float, middle: float, end: float, n: int) -> tuple[Any, Any, Any]:
-    """Integer phase and step [cycles 2^32] over n samples, and the bend for `cos_sin`'s extra.
+    """Fixed-point phase and step [2^-32 cycles] (int32) over n samples, and the bend (float32).
 
-    With phases [cycles] at samples 0, n / 2 and n: phase(j) = chord + bend j (n - j).
+    From the phases [cycles] at samples 0, n / 2 and n; see `carrier_phase`.
     """
     base = np.int64((start - math.floor(start)) * TURN)
     step = np.int64(np.rint((end - start) / n * TURN))
-    bend = 8.0 * math.pi * (middle - 0.5 * (start + end)) / (float(n) * float(n))
-    return base, step, np.float32(bend)
+    bend = 4.0 * TURN * (middle - 0.5 * (start + end)) / (float(n) * float(n))
+    return wrap(base), wrap(step), np.float32(bend)
+
+
+@kernel(inline="always")
+def carrier_phase(j: Any, base: Any, step: Any, bend: Any, n: Any) -> Any:
+    """Phase of sample j of n as int32 [2^-32 cycles]: chord + bend j (n - j)."""
+    x = np.float32(np.int32(j))
+    chord = np.int64(base) + np.int64(np.int32(j)) * np.int64(step)
+    return wrap(chord + np.int64(np.int32(bend * x * (n - x))))
 
 
 @kernel
