@@ -11,8 +11,9 @@ prints no formula for lambda.  Three readings:
     (i)   gain frozen at lambda = 1 and P_xz(lambda) = lambda P_xz0 (its (31)):
           lambda = <P_xz0, K0 V0> / <P_xz0, P_xz0>: closed form, 1 when V0 = S0.  In use here.
     (ii)  gain follows lambda.  V0 has an effective rank of about 3 (its memory is
-          (1 + q) / (1 - q) = 2.9 epochs, q = rho / (1 + rho)), so that I - S^-1 V0 is almost a
-          projector and g grows with |P_xz(lambda)|: lambda = 1 always.  Kept as a negative result.
+          (1 + q) / (1 - q) = 2.9 epochs, q = rho / (1 + rho)); where the noise of one epoch
+          exceeds M, as in tracking at 50 Hz, I - S^-1 V0 is almost a projector, g grows with
+          |P_xz(lambda)| and lambda = 1 always.  Kept as a negative result.
     (iii) fit S(lambda) to V0: lambda = 1 + <M, V0 - S0> / <M, M>.
 
 Since E[max(1, lambda)] > 1 in steady flight too, states that are not observed grow as
@@ -170,7 +171,9 @@ def reading_iii(M: np.ndarray, S: np.ndarray, V0: np.ndarray) -> float:
 
 
 @kernel
-def _remember(V0, seen, rows, nu, rho):
+def _remember(
+    V0: np.ndarray, seen: np.ndarray, rows: np.ndarray, nu: np.ndarray, rho: float
+) -> np.ndarray:
     """Refresh the rows present in V0 (in place) and return their part (m, m).
 
     A pair with a row never seen starts at nu nu' in place of the recursion.
@@ -191,7 +194,18 @@ def _remember(V0, seen, rows, nu, rho):
 
 
 @kernel(fastmath=FAST_SUM)
-def _gate_is_open(cov, q, inflated, H, S, V, k, row, sigmas, a):
+def _gate_is_open(
+    cov: np.ndarray,
+    q: np.ndarray,
+    inflated: np.ndarray,
+    H: np.ndarray,
+    S: np.ndarray,
+    V: np.ndarray,
+    k: int,
+    row: int,
+    sigmas: float,
+    a: float,
+) -> bool:
     """sum (V_qq - S_qq) > sigmas sqrt(2 sum S_qq^2 a / (2 - a)) over rows with information."""
     m, n = H.shape
     M = np.zeros(m)
@@ -211,7 +225,19 @@ def _gate_is_open(cov, q, inflated, H, S, V, k, row, sigmas, a):
 
 
 @kernel(fastmath=FAST_SUM)
-def _fading_factor(cov, q, inflated, H, S, gain, V, k, row, sigmas, a):
+def _fading_factor(
+    cov: np.ndarray,
+    q: np.ndarray,
+    inflated: np.ndarray,
+    H: np.ndarray,
+    S: np.ndarray,
+    gain: np.ndarray,
+    V: np.ndarray,
+    k: int,
+    row: int,
+    sigmas: float,
+    a: float,
+) -> float:
     """Reading (i) over the inflated states, at least 1; 1 while the gate is closed."""
     if sigmas > 0.0 and not _gate_is_open(cov, q, inflated, H, S, V, k, row, sigmas, a):
         return 1.0
@@ -237,7 +263,9 @@ def _fading_factor(cov, q, inflated, H, S, gain, V, k, row, sigmas, a):
 
 
 @kernel
-def _inflate(cov, q, inflated, lam, ceiling):
+def _inflate(
+    cov: np.ndarray, q: np.ndarray, inflated: np.ndarray, lam: float, ceiling: np.ndarray
+) -> np.ndarray:
     """P + (lambda - 1) E (P - Q) E; with a ceiling (n,) rows and columns are scaled down to it.
 
     A variance above the ceiling before inflation keeps its value.

@@ -136,9 +136,17 @@ def update_sequential(gaussian: Gaussian, measurement: Measurement, rule: Rule) 
     if measurement.A.shape[0] == 0:
         return _unchanged(prior)
     zbar, H, Omega = rule.linearise(prior, measurement)
-    mean, cov, nu, noise, nis, log_det = _sequential(
-        prior.mean, prior.cov, zbar, H, Omega, measurement.R, measurement.z
-    )
+    z, R = measurement.z, measurement.R
+    k = z.shape[1]
+    nu, noise, none = z.ravel() - zbar, Omega.copy(), np.zeros((k, k))
+    mean, cov, nis, log_det = prior.mean, prior.cov, 0.0, 0.0
+    for b in range(len(z)):
+        i = slice(b * k, b * k + k)
+        noise[i, i] += R[b]
+        mean, cov, _, _, _, part, part_det = _condition(
+            mean, cov, prior.mean, zbar[i], H[i], none, noise[i, i].reshape(1, k, k), z[b : b + 1]
+        )
+        nis, log_det = nis + part, log_det + part_det
     log_likelihood = -0.5 * (nis + log_det + nu.size * LOG_2PI)
     gain = np.linalg.solve(noise, H @ cov).T  # K = P+ H' (Omega + R)^-1
     return Update(mean, cov, nu, H @ prior.cov @ H.T + noise, gain, log_likelihood, nis, H)
@@ -190,7 +198,9 @@ def _posterior(
 
 
 @kernel(fastmath=FAST_SUM)
-def _predict(mean, cov, phi, q):
+def _predict(
+    mean: np.ndarray, cov: np.ndarray, phi: np.ndarray, q: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Phi m and Phi P Phi' + Q; Phi is mostly zero, hence the row sums skip zeros."""
     n = mean.size
     m1 = np.empty(n)
@@ -224,7 +234,9 @@ def _predict(mean, cov, phi, q):
 
 
 @kernel(fastmath=FAST_SUM)
-def _innovation(mean, lin_mean, zbar, H, z):
+def _innovation(
+    mean: np.ndarray, lin_mean: np.ndarray, zbar: np.ndarray, H: np.ndarray, z: np.ndarray
+) -> np.ndarray:
     """nu (m,) = z - zbar - H (mean - lin_mean)."""
     m, n = H.shape
     k = z.shape[1]
@@ -238,7 +250,7 @@ def _innovation(mean, lin_mean, zbar, H, z):
 
 
 @kernel(fastmath=FAST_SUM)
-def _slope_times_cov(H, cov):
+def _slope_times_cov(H: np.ndarray, cov: np.ndarray) -> np.ndarray:
     """H P (m, n)."""
     m, n = H.shape
     HP = np.zeros((m, n))
@@ -252,7 +264,7 @@ def _slope_times_cov(H, cov):
 
 
 @kernel(fastmath=FAST_SUM)
-def _factor(S, L):
+def _factor(S: np.ndarray, L: np.ndarray) -> float:
     """Lower Cholesky factor of S by columns; returns log det S, NaN where S is not positive."""
     m = S.shape[0]
     log_det = 0.0
@@ -272,12 +284,10 @@ def _factor(S, L):
 
 
 @kernel(fastmath=FAST_SUM)
-def _condition(mean, cov, lin_mean, zbar, H, Omega, R, z):
-    """Joint update by the Cholesky factor of S: posterior, nu, S, K, NIS, log det S (or NaN)."""
+def _innovation_cov(W: np.ndarray, H: np.ndarray, Omega: np.ndarray, R: np.ndarray) -> np.ndarray:
+    """S (m, m) = W H' + Omega + blockdiag(R), W = H P."""
     m, n = H.shape
     k = R.shape[1]
-    nu = _innovation(mean, lin_mean, zbar, H, z)
-    W = _slope_times_cov(H, cov)
     S = np.empty((m, m))
     for q in range(m):
         for r in range(q + 1):
@@ -288,14 +298,14 @@ def _condition(mean, cov, lin_mean, zbar, H, Omega, R, z):
                 s += W[q, a] * H[r, a]
             S[q, r] = s
             S[r, q] = s
-    m1, P1, K = mean.copy(), cov.copy(), np.zeros((n, m))
-    L = np.zeros((m, m))
-    log_det = _factor(S, L)
-    if np.isnan(log_det):
-        return m1, P1, nu, S, K, np.nan, log_det
-    e = nu.copy()
-    nis = 0.0
-    for q in range(m):  # W <- L^-1 H P, e <- L^-1 nu
+    return S
+
+
+@kernel(fastmath=FAST_SUM)
+def _whiten(L: np.ndarray, W: np.ndarray, e: np.ndarray) -> None:
+    """W <- L^-1 W and e <- L^-1 e, in place."""
+    m, n = W.shape
+    for q in range(m):
         for r in range(q):
             g = L[q, r]
             e[q] -= g * e[r]
@@ -303,47 +313,56 @@ def _condition(mean, cov, lin_mean, zbar, H, Omega, R, z):
                 W[q, a] -= g * W[r, a]
         g = 1.0 / L[q, q]
         e[q] *= g
-        nis += e[q] * e[q]
         for a in range(n):
             W[q, a] *= g
-            m1[a] += W[q, a] * e[q]
-        for a in range(n):
-            g = W[q, a]
-            for c in range(n):
-                P1[a, c] -= g * W[q, c]
-    for q in range(m - 1, -1, -1):  # W <- L^-T W = K'
+
+
+@kernel(fastmath=FAST_SUM)
+def _gain(L: np.ndarray, W: np.ndarray) -> np.ndarray:
+    """K (n, m) = (L^-T W)', W = L^-1 H P; W is overwritten."""
+    m, n = W.shape
+    K = np.empty((n, m))
+    for q in range(m - 1, -1, -1):
         for r in range(q + 1, m):
             g = L[r, q]
             for a in range(n):
                 W[q, a] -= g * W[r, a]
         for a in range(n):
             W[q, a] /= L[q, q]
-    K[:] = W.T
+            K[a, q] = W[q, a]
+    return K
+
+
+@kernel(fastmath=FAST_SUM)
+def _condition(
+    mean: np.ndarray,
+    cov: np.ndarray,
+    lin_mean: np.ndarray,
+    zbar: np.ndarray,
+    H: np.ndarray,
+    Omega: np.ndarray,
+    R: np.ndarray,
+    z: np.ndarray,
+) -> tuple[Any, ...]:
+    """Joint update by the Cholesky factor of S: posterior, nu, S, K, NIS, log det S (or NaN)."""
+    m, n = H.shape
+    nu = _innovation(mean, lin_mean, zbar, H, z)
+    W = _slope_times_cov(H, cov)
+    S = _innovation_cov(W, H, Omega, R)
+    m1, P1, L = mean.copy(), cov.copy(), np.zeros((m, m))
+    log_det = _factor(S, L)
+    if np.isnan(log_det):
+        return m1, P1, nu, S, np.zeros((n, m)), np.nan, log_det
+    e, nis = nu.copy(), 0.0
+    _whiten(L, W, e)
+    for q in range(m):
+        nis += e[q] * e[q]
+        for a in range(n):
+            g = W[q, a]
+            m1[a] += g * e[q]
+            for c in range(a + 1):
+                P1[a, c] -= g * W[q, c]
     for a in range(n):
         for c in range(a):
-            s = 0.5 * (P1[a, c] + P1[c, a])
-            P1[a, c] = s
-            P1[c, a] = s
-    return m1, P1, nu, S, K, nis, log_det
-
-
-@kernel
-def _sequential(mean, cov, zbar, H, Omega, R, z):
-    """Block after block; also the joint innovation, Omega + R (m, m), NIS and log det S."""
-    m = H.shape[0]
-    k = R.shape[1]
-    noise = Omega.copy()
-    nu = z.ravel() - zbar
-    m1, P1 = mean.copy(), cov.copy()
-    nis, log_det = 0.0, 0.0
-    square = np.zeros((k, k))
-    for b in range(m // k):
-        s = slice(b * k, b * k + k)
-        noise[s, s] += R[b]
-        out = _condition(
-            m1, P1, mean, zbar[s], H[s], square, noise[s, s].copy().reshape(1, k, k), z[b : b + 1]
-        )
-        m1, P1 = out[0], out[1]
-        nis += out[5]
-        log_det += out[6]
-    return m1, P1, nu, noise, nis, log_det
+            P1[c, a] = P1[a, c]
+    return m1, P1, nu, S, _gain(L, W), nis, log_det

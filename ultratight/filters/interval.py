@@ -81,7 +81,18 @@ class IntervalQ:
 
 
 @kernel
-def _widen(cov, q, C, f, df, v, cd, per_force, latency, clock_per_force):
+def _widen(
+    cov: np.ndarray,
+    q: np.ndarray,
+    C: np.ndarray,
+    f: np.ndarray,
+    df: np.ndarray,
+    v: int,
+    cd: int,
+    per_force: float,
+    latency: float,
+    clock_per_force: float,
+) -> tuple[np.ndarray, np.ndarray]:
     """Copies of P and Q with the interval terms added at rows v..v+2 and cd."""
     P, Q = cov.copy(), q.copy()
     for i in range(3):

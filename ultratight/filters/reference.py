@@ -13,7 +13,7 @@ def update_reference(
 ) -> Update:
     """`update` in plain numpy with the covariance in Joseph form; needs P positive definite."""
     m0, P0 = gaussian
-    z, A, R = measurement.z.ravel(), measurement.A, measurement.R
+    z, R = measurement.z.ravel(), measurement.R
     noise_R = np.zeros((z.size, z.size))
     k = R.shape[1]
     for b in range(len(R)):

@@ -15,15 +15,20 @@ term H_i P H_j'.  "full": points in R^n, cross-block covariance included in Omeg
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache, partial
-from math import prod
+from functools import partial
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
 from signals.compiled import FAST_SUM, kernel
+from ultratight.filters.quadrature import (
+    PointFunction,
+    cubature,
+    gauss_hermite,
+    unit_points,
+    unscented,
+)
 
 if TYPE_CHECKING:
     from ultratight.filters.gaussian import Gaussian, Measurement
@@ -35,83 +40,6 @@ class Linearisation(NamedTuple):
     zbar: np.ndarray  # (m,)
     H: np.ndarray  # (m, n)
     Omega: np.ndarray  # (m, m)
-
-
-class UnitPoints(NamedTuple):
-    """A quadrature rule for N(0, I_d); arrays are read-only and cached."""
-
-    xi: np.ndarray  # (d, p) points
-    w: np.ndarray  # (p,) weights, sum 1, possibly negative
-    w_xi: np.ndarray  # (d, p) w * xi
-
-
-PointFunction = Callable[[int], tuple[np.ndarray, np.ndarray]]
-"""Dimension d -> points (p, d) and weights (p,) with the mean 0 and covariance I_d"""
-
-
-def hermite_nodes(m: int) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes and weights (m,) for N(0, 1): sqrt(2) eig(J), J(i, i+1) = sqrt(i/2) (Golub-Welsch)."""
-    beta = np.sqrt(np.arange(1, m) / 2.0)
-    node, vector = np.linalg.eigh(np.diag(beta, 1) + np.diag(beta, -1))
-    x, w = np.sqrt(2.0) * node, vector[0] ** 2
-    x, w = 0.5 * (x - x[::-1]), 0.5 * (w + w[::-1])  # symmetric to the last bit
-    return x, w / w.sum()
-
-
-def gauss_hermite(orders: int | tuple[int, ...], d: int) -> tuple[np.ndarray, np.ndarray]:
-    """Tensor Gauss-Hermite rule in d dimensions; ``orders`` per dimension or one for all.
-
-    With different orders note that y = ybar + L xi with L lower triangular: dimension j of y is
-    carried by the points of dimensions 0..j.
-    """
-    per_axis = (orders,) * d if isinstance(orders, int) else orders
-    if len(per_axis) != d:
-        raise ValueError(f"rule has orders {per_axis} but the projected space has {d} dimensions")
-    if prod(per_axis) > 100_000:
-        raise ValueError(f"Gauss-Hermite points: {prod(per_axis)}, expected at most 100000")
-    axes = [hermite_nodes(m) for m in per_axis]
-    points = np.stack(np.meshgrid(*(x for x, _ in axes), indexing="ij"), -1).reshape(-1, d)
-    weights = np.ones(1)
-    for _, w in axes:
-        weights = np.multiply.outer(weights, w).ravel()
-    return points, weights
-
-
-def cubature(d: int) -> tuple[np.ndarray, np.ndarray]:
-    """Third-degree spherical-radial rule, 2 d points (Arasaratnam & Haykin, IEEE TAC 54, 2009)."""
-    eye = np.sqrt(d) * np.eye(d)
-    return np.vstack([eye, -eye]), np.full(2 * d, 0.5 / d)
-
-
-def unscented(d: int, kappa: float | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """2 d + 1 points, kappa = 3 - d unless given (Julier & Uhlmann, 1997).
-
-    For d > 3 the central weight kappa/(d + kappa) is negative and Omega may be indefinite.
-    """
-    kappa = 3.0 - d if kappa is None else kappa
-    spread = d + kappa
-    if spread <= 0.0:
-        raise ValueError(f"unscented rule: kappa = {kappa}, expected more than -{d}")
-    eye = np.sqrt(spread) * np.eye(d)
-    weights = np.r_[kappa / spread, np.full(2 * d, 0.5 / spread)]
-    return np.vstack([np.zeros((1, d)), eye, -eye]), weights
-
-
-@cache
-def unit_points(function: PointFunction, d: int) -> UnitPoints:
-    """Points of a rule in d dimensions, computed once; ValueError where they are no such rule."""
-    points, weights = function(d)
-    w = np.array(weights, dtype=float)
-    xi = np.array(np.asarray(points, dtype=float).T, order="C")
-    if xi.shape != (d, w.size):
-        raise ValueError(f"unit points: shape {xi.T.shape}, expected ({w.size}, {d})")
-    moments = (w.sum() - 1.0, xi @ w, (xi * w) @ xi.T - np.eye(d))
-    if max(float(np.abs(v).max(initial=0.0)) for v in map(np.asarray, moments)) > 1e-9:
-        raise ValueError(f"unit points: moments {moments}, expected those of N(0, I)")
-    result = UnitPoints(xi, w, np.ascontiguousarray(xi * w))
-    for array in result:
-        array.setflags(write=False)
-    return result
 
 
 @dataclass(frozen=True)
@@ -188,7 +116,7 @@ def get_rule(name: str) -> Rule:
 
 
 @kernel
-def psd_cholesky(S, L):
+def psd_cholesky(S: np.ndarray, L: np.ndarray) -> None:
     """Lower L (n, n) with L L' = S for positive semidefinite S: columns without variance are 0.
 
     A pivot below 1e-14 of its diagonal is a linear dependence.  NaN stays NaN.
@@ -214,7 +142,7 @@ def psd_cholesky(S, L):
 
 
 @kernel
-def _solve_slope(L, G):
+def _solve_slope(L: np.ndarray, G: np.ndarray) -> None:
     """Overwrite G (k, d) by G L^-1; no slope along directions without variance."""
     d = L.shape[0]
     for j in range(d - 1, -1, -1):
@@ -229,7 +157,7 @@ def _solve_slope(L, G):
 
 
 @kernel(fastmath=FAST_SUM)
-def _project_mean(mean, A):
+def _project_mean(mean: np.ndarray, A: np.ndarray) -> np.ndarray:
     """y (nb, d) = A x."""
     nb, d, n = A.shape
     y = np.empty((nb, d))
@@ -243,7 +171,7 @@ def _project_mean(mean, A):
 
 
 @kernel(fastmath=FAST_SUM)
-def _chain(J, A):
+def _chain(J: np.ndarray, A: np.ndarray) -> np.ndarray:
     """H (nb k, n) = J A, block by block."""
     nb, k, d = J.shape
     n = A.shape[2]
@@ -259,7 +187,7 @@ def _chain(J, A):
 
 
 @kernel(fastmath=FAST_SUM)
-def _scatter(y, L, xi, out):
+def _scatter(y: np.ndarray, L: np.ndarray, xi: np.ndarray, out: np.ndarray) -> None:
     """Points out (p, d) = y + L xi."""
     d, p = xi.shape
     for j in range(d):
@@ -273,7 +201,9 @@ def _scatter(y, L, xi, out):
 
 
 @kernel(fastmath=FAST_SUM)
-def _place_projected(mean, cov, A, xi):
+def _place_projected(
+    mean: np.ndarray, cov: np.ndarray, A: np.ndarray, xi: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Points Y (nb, p, d) and roots L (nb, d, d) of A_i P A_i'."""
     nb, d, n = A.shape
     y = _project_mean(mean, A)
@@ -301,7 +231,9 @@ def _place_projected(mean, cov, A, xi):
 
 
 @kernel(fastmath=FAST_SUM)
-def _place_full(mean, cov, A, xi):
+def _place_full(
+    mean: np.ndarray, cov: np.ndarray, A: np.ndarray, xi: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Points Y (nb, p, d) = A (m + L xi) and the root L (n, n) of P."""
     nb, d, n = A.shape
     p = xi.shape[1]
@@ -327,7 +259,7 @@ def _place_full(mean, cov, A, xi):
 
 
 @kernel(fastmath=FAST_SUM)
-def _centre(Z, w, zbar, dz):
+def _centre(Z: np.ndarray, w: np.ndarray, zbar: np.ndarray, dz: np.ndarray) -> None:
     """Weighted mean zbar (k,) of Z (p, k) and deviations dz (k, p)."""
     p, k = Z.shape
     for q in range(k):
@@ -340,7 +272,9 @@ def _centre(Z, w, zbar, dz):
 
 
 @kernel(fastmath=FAST_SUM)
-def _moments(dz, w, w_xi, C, cov_z):
+def _moments(
+    dz: np.ndarray, w: np.ndarray, w_xi: np.ndarray, C: np.ndarray, cov_z: np.ndarray
+) -> None:
     """C (m, d) = E[dz xi'] and cov_z (m, m) = E[dz dz'] - C C', deviations dz (m, p)."""
     m, p = dz.shape
     w_dz = np.empty(p)
@@ -363,7 +297,9 @@ def _moments(dz, w, w_xi, C, cov_z):
 
 
 @kernel(fastmath=FAST_SUM)
-def _regress_projected(A, L, w, w_xi, Z):
+def _regress_projected(
+    A: np.ndarray, L: np.ndarray, w: np.ndarray, w_xi: np.ndarray, Z: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """SLR of every block: zbar (m,), H (m, n) = G A, Omega (m, m) block-diagonal."""
     nb, p, k = Z.shape
     d = A.shape[1]
@@ -379,7 +315,9 @@ def _regress_projected(A, L, w, w_xi, Z):
 
 
 @kernel(fastmath=FAST_SUM)
-def _regress_full(L, w, w_xi, Z):
+def _regress_full(
+    L: np.ndarray, w: np.ndarray, w_xi: np.ndarray, Z: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """SLR of all blocks at once from points in R^n: zbar (m,), H (m, n), Omega (m, m)."""
     nb, p, k = Z.shape
     m = nb * k

@@ -1,0 +1,87 @@
+"""Points and weights for N(0, I_d): Gauss-Hermite tensors, cubature, unscented."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from math import prod
+from typing import NamedTuple
+
+import numpy as np
+
+
+class UnitPoints(NamedTuple):
+    """A quadrature rule for N(0, I_d); arrays are read-only and cached."""
+
+    xi: np.ndarray  # (d, p) points
+    w: np.ndarray  # (p,) weights, sum 1, possibly negative
+    w_xi: np.ndarray  # (d, p) w * xi
+
+
+PointFunction = Callable[[int], tuple[np.ndarray, np.ndarray]]
+"""Dimension d -> points (p, d) and weights (p,) with the mean 0 and covariance I_d"""
+
+
+def hermite_nodes(m: int) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes and weights (m,) for N(0, 1): sqrt(2) eig(J), J(i, i+1) = sqrt(i/2) (Golub-Welsch)."""
+    beta = np.sqrt(np.arange(1, m) / 2.0)
+    node, vector = np.linalg.eigh(np.diag(beta, 1) + np.diag(beta, -1))
+    x, w = np.sqrt(2.0) * node, vector[0] ** 2
+    x, w = 0.5 * (x - x[::-1]), 0.5 * (w + w[::-1])  # symmetric to the last bit
+    return x, w / w.sum()
+
+
+def gauss_hermite(orders: int | tuple[int, ...], d: int) -> tuple[np.ndarray, np.ndarray]:
+    """Tensor Gauss-Hermite rule in d dimensions; ``orders`` per dimension or one for all.
+
+    With different orders note that y = ybar + L xi with L lower triangular: dimension j of y is
+    carried by the points of dimensions 0..j.
+    """
+    per_axis = (orders,) * d if isinstance(orders, int) else orders
+    if len(per_axis) != d:
+        raise ValueError(f"rule has orders {per_axis} but the projected space has {d} dimensions")
+    if prod(per_axis) > 100_000:
+        raise ValueError(f"Gauss-Hermite points: {prod(per_axis)}, expected at most 100000")
+    axes = [hermite_nodes(m) for m in per_axis]
+    points = np.stack(np.meshgrid(*(x for x, _ in axes), indexing="ij"), -1).reshape(-1, d)
+    weights = np.ones(1)
+    for _, w in axes:
+        weights = np.multiply.outer(weights, w).ravel()
+    return points, weights
+
+
+def cubature(d: int) -> tuple[np.ndarray, np.ndarray]:
+    """Third-degree spherical-radial rule, 2 d points (Arasaratnam & Haykin, IEEE TAC 54, 2009)."""
+    eye = np.sqrt(d) * np.eye(d)
+    return np.vstack([eye, -eye]), np.full(2 * d, 0.5 / d)
+
+
+def unscented(d: int, kappa: float | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """2 d + 1 points, kappa = 3 - d unless given (Julier & Uhlmann, 1997).
+
+    For d > 3 the central weight kappa/(d + kappa) is negative and Omega may be indefinite.
+    """
+    kappa = 3.0 - d if kappa is None else kappa
+    spread = d + kappa
+    if spread <= 0.0:
+        raise ValueError(f"unscented rule: kappa = {kappa}, expected more than -{d}")
+    eye = np.sqrt(spread) * np.eye(d)
+    weights = np.r_[kappa / spread, np.full(2 * d, 0.5 / spread)]
+    return np.vstack([np.zeros((1, d)), eye, -eye]), weights
+
+
+@cache
+def unit_points(function: PointFunction, d: int) -> UnitPoints:
+    """Points of a rule in d dimensions, computed once; ValueError where they are no such rule."""
+    points, weights = function(d)
+    w = np.array(weights, dtype=float)
+    xi = np.array(np.asarray(points, dtype=float).T, order="C")
+    if xi.shape != (d, w.size):
+        raise ValueError(f"unit points: shape {xi.T.shape}, expected ({w.size}, {d})")
+    moments = (w.sum() - 1.0, xi @ w, (xi * w) @ xi.T - np.eye(d))
+    if max(float(np.abs(v).max(initial=0.0)) for v in map(np.asarray, moments)) > 1e-9:
+        raise ValueError(f"unit points: moments {moments}, expected those of N(0, I)")
+    result = UnitPoints(xi, w, np.ascontiguousarray(xi * w))
+    for array in result:
+        array.setflags(write=False)
+    return result
