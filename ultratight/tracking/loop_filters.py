@@ -93,7 +93,7 @@ def _natural_frequency(
     delay_s: float,
     loop: Callable[[float], _StateSpace],
 ) -> float:
-    """The w at which the loop's noise bandwidth is Bn, by bisection: it grows with w to infinity."""
+    """The w at which the loop's noise bandwidth is Bn, by bisection: it grows with w."""
     if not 0.0 < bandwidth_hz < np.inf:
         raise ValueError(f"bandwidth_hz is {bandwidth_hz}: expected a finite number > 0")
     if not 0.0 <= delay_s < interval_s:
