@@ -1,0 +1,355 @@
+"""Correlator in closed form: the taps that samples would give, from the replica's errors only.
+
+Over an integration of length T the tap at offset d (chips) is
+
+    X_d = sqrt(2 / T) int sqrt(C/N0) D(t) R(e(t) + d) exp(j 2 pi phi(t)) dt + n_d         (1)
+
+with e = true - NCO code phase, phi = true - NCO carrier phase, D the data symbol and R the code's
+*own* periodic autocorrelation (linear between integer lags; not the ideal triangle).  For constant
+errors (1) is sqrt(2 C/N0 T) D R(e + d) sinc(f T) exp(j 2 pi phi_mid): Kaplan & Hegarty, 3rd ed.,
+ch. 8.  The noise has unit variance in each of I and Q and covariance R(d_i - d_k) between taps.
+
+The integral is exact but for quadrature, below 2e-7 of the amplitude (`error_integral`).  What
+(1) leaves out: products of chips are replaced by their mean over a code period, i.e. the
+self-noise of parts of a period (a data edge inside the integration; phase errors that turn by a
+good part of a cycle per period) and of sampling.  `tests/signals/test_correlators_agree.py`
+measures it against samples.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from signals.compiled import kernel
+from signals.constants import CA_CHIP_RATE_HZ
+from signals.error_integral import (
+    AMPLITUDE,
+    SPREAD,
+    TRUTH_COLUMNS,
+    borrowing,
+    edge,
+    integrate,
+    replica_at,
+    truth_piece,
+)
+from signals.front_end import GUARD_SAMPLES
+from signals.nco import Nco, Taps
+from signals.noise import normals, stream_key
+from signals.propagation import SignalState
+
+SELF_SEPARATION_DB_PER_HZ = 10.0 * math.log10(2.0 / (3.0 * CA_CHIP_RATE_HZ))
+"""Spectral separation of BPSK(1) from itself, 2 / (3 Rc): -61.86 dB/Hz (Kaplan & Hegarty, ch. 9)"""
+
+_TIME_TOLERANCE_S = 1e-10
+
+
+class ModelCorrelator:
+    """Taps in closed form; a `Correlator` that needs the truth.
+
+    Open sums persist between calls and are dropped as by `SampleCorrelator`: by a command that
+    does not begin where the last one ended, an invalid channel, a change of ``dump_chips``, a code
+    phase that leaves the integration under way by more than half its length.  The noise of an
+    integration is keyed by (seed, prn, its first chip, its length): it depends on no order of
+    calls or channels, and runs that differ in anything else share it.
+
+    Parameters
+    ----------
+    state : truth at the antenna.
+    chips : (n_channel, length) int8 of +-1.
+    prn : (n_channel,) names the channels in the key of their noise.
+    offset_chips : (n_tap,) delay of each replica: negative is early, positive is late.
+    seed : of the run; the noise is its stream "correlator-noise".
+    symbol_chips : length of a data symbol in chips.
+    multiple_access : the other satellites add white noise, var = 1 + sum_j (C_j/N0) 2 / (3 Rc)
+        (`SELF_SEPARATION_DB_PER_HZ`); ``Taps.noise_var`` stays 1, the correlator cannot know.
+    sample_rate_hz : bounds fall on samples as in a `SampleCorrelator`; None: continuous time.
+    noise : False leaves the mean only.
+
+    Raises
+    ------
+    ValueError : shapes that disagree, symbols that do not cover the truth; when called, a command
+        outside the truth, integrations that are not whole code periods.
+    """
+
+    def __init__(
+        self,
+        state: SignalState,
+        chips: np.ndarray,
+        prn: np.ndarray,
+        offset_chips: np.ndarray,
+        seed: int,
+        *,
+        symbol_chips: int = 20_460,
+        multiple_access: bool = False,
+        sample_rate_hz: float | None = None,
+        noise: bool = True,
+    ) -> None:
+        self.offset_chips = np.ascontiguousarray(offset_chips, dtype=np.float64)
+        if self.offset_chips.ndim != 1 or not np.all(np.isfinite(self.offset_chips)):
+            raise ValueError(f"offset_chips is {offset_chips}: expected finite (n_tap,)")
+        n_channel = state.valid.shape[0]
+        if np.ndim(chips) != 2 or len(chips) != n_channel or np.shape(prn) != (n_channel,):
+            raise ValueError(
+                f"chips {np.shape(chips)} and prn {np.shape(prn)}: expected ({n_channel}, length) "
+                f"and ({n_channel},), a row per channel of the truth"
+            )
+        _check_symbols(state, symbol_chips)
+        table = np.array([_correlation_table(row) for row in chips])
+        self._length = int(np.shape(chips)[1])
+        self._t_s = (float(state.t_s[0]), float(state.t_s[-1]))
+        self._truth = _truth_table(state, multiple_access)
+        symbols = np.ascontiguousarray(state.symbols, dtype=np.int8)
+        self._data = (symbols, int(state.first_symbol), int(symbol_chips))
+        self._replicas = (self.offset_chips, table)
+        factor = np.array([_tap_factor(row, self.offset_chips) for row in table])
+        key = stream_key(seed, "correlator-noise") if noise else np.zeros(0, np.uint32)
+        self._noise = (key, np.ascontiguousarray(prn, dtype=np.int64), factor)
+        self._sample_s = 0.0 if sample_rate_hz is None else 1.0 / sample_rate_hz
+        self._open = (
+            np.zeros((n_channel, 4), np.int64),
+            np.zeros((n_channel, 3)),
+            np.zeros((n_channel, self.offset_chips.size), np.complex128),
+        )
+        self._end_s = math.nan
+        self._checked = b""
+
+    def __call__(self, nco: Nco) -> Taps:
+        """Correlate over all pieces of the command; return the integrations that ended."""
+        first_s, end_s = float(nco.t_s[0]), float(nco.t_s[-1])
+        self._check(nco, first_s, end_s)
+        if not abs(first_s - self._end_s) <= _TIME_TOLERANCE_S:
+            self._open[0][:, _KNOWN] = 0
+        self._end_s = end_s
+        whole, real, iq = _correlate(
+            tuple(nco), self._truth, self._data, self._replicas, self._noise, self._open,
+            self._sample_s,
+        )  # fmt: skip
+        channel, index = whole
+        return Taps(channel, index, real[0], real[1], iq, *real[2:])
+
+    def _check(self, nco: Nco, first_s: float, end_s: float) -> None:
+        low, high = self._t_s
+        if not low - _TIME_TOLERANCE_S <= first_s <= end_s <= high + _TIME_TOLERANCE_S:
+            raise ValueError(
+                f"nco.t_s runs from {first_s} to {end_s} s: expected inside the truth, "
+                f"{low} to {high} s"
+            )
+        # looked at only when they change: this runs at every epoch
+        checked = nco.dump_chips.tobytes() + nco.valid.tobytes()
+        if checked != self._checked:
+            n_channel = len(self._truth)
+            used = nco.dump_chips[nco.valid] if nco.valid.shape == (n_channel,) else np.zeros(1)
+            if nco.dump_chips.shape != (n_channel,) or np.any(
+                (used < 1) | (used % self._length > 0)
+            ):
+                raise ValueError(
+                    f"nco.dump_chips is {nco.dump_chips}: expected ({n_channel},) with positive "
+                    f"multiples of {self._length} where nco.valid, also ({n_channel},), is set"
+                )
+            self._checked = checked
+
+
+def _check_symbols(state: SignalState, symbol_chips: int) -> None:
+    """Refuse symbols that do not cover the code phase of every valid piece."""
+    if not state.valid.any():
+        return
+    step = np.diff(state.t_s)
+    code = state.code_phase_chips
+    end = code[..., 0] + step * (code[..., 1] + step * (code[..., 2] + step * code[..., 3]))
+    first = math.floor(code[..., 0][state.valid].min() / symbol_chips)
+    last = math.floor(end[state.valid].max() / symbol_chips)
+    last_given = state.first_symbol + state.symbols.shape[1] - 1
+    if first < state.first_symbol or last > last_given:
+        raise ValueError(
+            f"symbols {state.first_symbol} to {last_given} do not cover the truth: expected "
+            f"{first} to {last}"
+        )
+
+
+def _truth_table(state: SignalState, multiple_access: bool) -> np.ndarray:
+    """The truth as rows of `error_integral`: (n_channel, n_piece, TRUTH_COLUMNS)."""
+    cn0_hz = np.where(state.valid, 10.0 ** (np.asarray(state.cn0_dbhz) / 10.0), 0.0)
+    table = np.empty((*state.valid.shape, TRUTH_COLUMNS))
+    table[..., 0] = state.t_s[:-1]
+    table[..., 1] = state.t_s[1:]
+    table[..., 2:6] = state.code_phase_chips
+    table[..., 6:10] = state.carrier_phase_cycles
+    table[..., AMPLITUDE] = np.sqrt(cn0_hz)
+    table[..., SPREAD] = 1.0
+    if multiple_access:
+        others = cn0_hz.sum(axis=0) - cn0_hz
+        table[..., SPREAD] = np.sqrt(1.0 + others * 10.0 ** (SELF_SEPARATION_DB_PER_HZ / 10.0))
+    return table
+
+
+def _correlation_table(chips: np.ndarray) -> np.ndarray:
+    """Periodic autocorrelation at lags 0 ... length (length + 1,), normalised, exact."""
+    spectrum = np.fft.fft(chips.astype(np.float64))
+    lags = np.rint(np.fft.ifft(np.abs(spectrum) ** 2).real) / chips.size
+    return np.append(lags, lags[0])
+
+
+def _tap_factor(table: np.ndarray, offset_chips: np.ndarray) -> np.ndarray:
+    """Lower-triangular L with L L' = R(d_i - d_k), (n_tap, n_tap).
+
+    Coincident taps have a zero pivot, and so has a third one between two less than a chip apart
+    if R is straight there; the column of such a tap stays zero, it is a sum of those before it.
+    """
+    length = table.size - 1
+    lag = np.mod(offset_chips[:, None] - offset_chips[None, :], length)
+    left = np.interp(lag, np.arange(length + 1), table)
+    factor = np.zeros_like(left)
+    for k in range(offset_chips.size):
+        if left[k, k] > 1e-12:
+            factor[:, k] = left[:, k] / math.sqrt(left[k, k])
+            left = left - np.outer(factor[:, k], factor[:, k])
+    return factor
+
+
+# ---- kernels ---------------------------------------------------------------------------------
+
+# columns of a channel's position: is the index known, is a sum open, index, length
+_KNOWN, _OPEN, _INDEX, _DUMP = 0, 1, 2, 3
+_CHIP_TOLERANCE = 1e-6  # in continuous time a code phase this little past a multiple is at it
+
+
+@kernel
+def _correlate(
+    replica: Any, truth: np.ndarray, data: Any, replicas: Any, noise: Any, state: Any,
+    sample_s: float,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+    """All channels over one command -> channel and index, the other rows of `Taps`, iq."""
+    most = _most_dumps(replica)
+    n_tap = replicas[0].size
+    whole = np.empty((2, most), np.int64)
+    real = np.empty((7, most))
+    iq = np.empty((most, n_tap), np.complex128)
+    rows = (whole, real, iq, np.zeros(2 * n_tap))
+    n = _all_channels(replica, truth, data, replicas, noise, state, sample_s, rows)
+    return whole[:, :n], real[:, :n], iq[:n]
+
+
+@borrowing
+def _all_channels(
+    replica: Any, truth: np.ndarray, data: Any, replicas: Any, noise: Any, state: Any,
+    sample_s: float, rows: Any,
+) -> int:  # fmt: skip
+    """`_correlate` into given rows; returns their number."""
+    t_s, code, chip_rate, carrier, freq, rate, dump_chips, valid = replica
+    position = state[0]
+    n = 0
+    for i in range(valid.size):
+        if not valid[i]:
+            position[i, _KNOWN] = 0
+            continue
+        for p in range(t_s.size - 1):
+            a, b = edge(t_s[p], sample_s), edge(t_s[p + 1], sample_s)
+            if a < b:
+                line = (t_s[p], code[p, i], chip_rate[p, i], carrier[p, i], freq[p, i], rate[p, i])
+                _align(i, a + 0.5 * sample_s, line, dump_chips[i], sample_s, state)
+                n = _over_piece(
+                    i, a, b, line, truth, data, replicas, noise, state, sample_s, rows, n
+                )
+    return n
+
+
+@borrowing
+def _most_dumps(replica: Any) -> int:
+    """Bound on the integrations that can end in a command."""
+    t_s, _, chip_rate, _, _, _, dump_chips, valid = replica
+    most = 0.0
+    for i in range(valid.size):
+        if valid[i]:
+            for p in range(t_s.size - 1):
+                most += 2.0 + abs(chip_rate[p, i]) * (t_s[p + 1] - t_s[p]) / dump_chips[i]
+    return int(most)
+
+
+@borrowing
+def _align(i: int, t: float, line: Any, dump: int, sample_s: float, state: Any) -> None:
+    """At a piece's first instant: keep the integration under way, or find it and maybe open it."""
+    position = state[0]
+    x, _ = replica_at(line, t)
+    middle = (position[i, _INDEX] + 0.5) * dump
+    if position[i, _KNOWN] and position[i, _DUMP] == dump and abs(x - middle) <= dump:
+        return
+    tolerance = GUARD_SAMPLES * sample_s * line[2] if sample_s > 0.0 else _CHIP_TOLERANCE
+    index = math.floor((x + tolerance) / dump)
+    position[i, _KNOWN] = 1
+    position[i, _OPEN] = 0
+    position[i, _INDEX] = index
+    position[i, _DUMP] = dump
+    if x - index * dump < max(line[2] * sample_s - tolerance, tolerance):
+        _start(i, index, t, line, state)
+
+
+@borrowing
+def _over_piece(
+    i: int, a: float, b: float, line: Any, truth: np.ndarray, data: Any, replicas: Any,
+    noise: Any, state: Any, sample_s: float, rows: Any, n: int,
+) -> int:  # fmt: skip
+    """Channel i over [a, b), one piece of the command, cut at the bounds of integrations.
+
+    Returns the number of rows written so far.
+    """
+    position, _, sums = state
+    while True:
+        target = (position[i, _INDEX] + 1) * position[i, _DUMP]
+        at = line[0] + (target - line[1]) / line[2]
+        cut = max(edge(at, sample_s), a)
+        if position[i, _OPEN]:
+            integrate(i, a, min(cut, b), line, truth, data, replicas, sums, sample_s)
+        if cut >= b:
+            return n
+        t = cut + 0.5 * sample_s
+        if position[i, _OPEN]:
+            n = _finish(i, t, line, truth, noise, state, rows, n)
+        _start(i, position[i, _INDEX] + 1, t, line, state)
+        a = cut
+
+
+@borrowing
+def _start(i: int, index: int, t: float, line: Any, state: Any) -> None:
+    """Empty the sums of channel i; t is their first instant."""
+    position, start, sums = state
+    position[i, _OPEN] = 1
+    position[i, _INDEX] = index
+    start[i, 0] = t
+    start[i, 1], start[i, 2] = replica_at(line, t)
+    for k in range(sums.shape[1]):
+        sums[i, k] = 0.0
+
+
+@borrowing
+def _finish(
+    i: int, t: float, line: Any, truth: np.ndarray, noise: Any, state: Any, rows: Any, n: int
+) -> int:
+    """Write the sums of channel i, which end at t, as row n; returns the next row."""
+    position, start, sums = state
+    key, prn, factor = noise
+    whole, real, iq, draw = rows
+    length = t - start[i, 0]
+    if length <= 0.0:
+        return n
+    if key.size > 0:
+        first_chip = position[i, _INDEX] * position[i, _DUMP]
+        normals(
+            key[0], key[1], first_chip & 0xFFFFFFFF, (first_chip >> 32) & 0xFFFFFFFF,
+            position[i, _DUMP], prn[i] << 16, draw,
+        )  # fmt: skip
+    gain = math.sqrt(2.0 / length)
+    spread = truth[i, truth_piece(truth, i, t), SPREAD]
+    for k in range(sums.shape[1]):
+        re, im = 0.0, 0.0
+        for m in range(k + 1):
+            re += factor[i, k, m] * draw[2 * m]
+            im += factor[i, k, m] * draw[2 * m + 1]
+        iq[n, k] = gain * sums[i, k] + spread * complex(re, im)
+    whole[0, n], whole[1, n] = i, position[i, _INDEX]
+    real[0, n], real[1, n], real[2, n] = start[i, 0], t, 1.0
+    real[3, n], real[5, n] = start[i, 1], start[i, 2]
+    real[4, n], real[6, n] = replica_at(line, t)
+    return n + 1
