@@ -22,13 +22,13 @@ from typing import Any
 import numpy as np
 
 from signals.compiled import FAST_SUM, kernel
-from signals.elementary import cos_sin
 from signals.front_end import GUARD_SAMPLES, first_sample_at
 from signals.nco import Nco, Taps
 from signals.noise import CELL
 from signals.recording import IfSource
-from signals.replica import carrier_phase, carrier_steps, code_steps, replica_table
+from signals.replica import STRIDE, carrier_phasors, carrier_steps, code_steps, replica_table
 
+_NCO_TYPES = (np.float64,) * 6 + (np.int64, np.bool_)
 _BLOCK = 64 * CELL  # samples taken from the source at a time
 
 
@@ -69,7 +69,6 @@ class SampleCorrelator:
         self._position = np.zeros((n_channel, 5), np.int64)
         self._start = np.zeros((n_channel, 2))
         self._sums = np.zeros((n_channel, n_tap, 2))
-        self._planar = np.empty((2, _BLOCK), np.float32)
         self._end_sample = -1
         self._shares = np.linspace(0, n_channel, workers + 1).astype(int).tolist()
         self._pool = ThreadPoolExecutor(workers) if workers > 1 else None
@@ -77,6 +76,7 @@ class SampleCorrelator:
     def __call__(self, nco: Nco) -> Taps:
         """Correlate over all pieces of the command; return the integrations that ended."""
         fs = self._source.sample_rate_hz
+        nco = Nco(*(np.ascontiguousarray(a, t) for a, t in zip(nco, _NCO_TYPES, strict=True)))
         self._check(nco, fs)
         edge = first_sample_at(nco.t_s, fs).tolist()
         if edge[0] != self._end_sample:
@@ -84,21 +84,8 @@ class SampleCorrelator:
         self._end_sample = edge[-1]
         rows = self._rows(nco)
         for p, (first, end) in enumerate(zip(edge[:-1], edge[1:], strict=True)):
-            line = np.stack(
-                [
-                    nco.code_phase_chips[p],
-                    nco.chip_rate_hz[p],
-                    nco.carrier_phase_cycles[p],
-                    nco.carrier_freq_hz[p],
-                    nco.carrier_rate_hz_per_s[p],
-                ],
-                axis=1,
-            )
             for a in range(first, end, _BLOCK):
-                b = min(a + _BLOCK, end)
-                block = np.ascontiguousarray(self._source.samples(a, b))
-                _deinterleave(block.reshape(-1), self._planar[0], self._planar[1])
-                self._run(a, b, float(nco.t_s[p]), line, nco, rows)
+                self._run(a, min(a + _BLOCK, end), p, nco, rows)
         whole, real, iq, count = rows
         done = np.arange(whole.shape[1]) < count[:, None]
         channel = np.nonzero(done)[0]
@@ -121,16 +108,12 @@ class SampleCorrelator:
             np.zeros(n_channel, np.int64),
         )
 
-    def _run(self, a: int, b: int, t0_s: float, line: np.ndarray, nco: Nco, rows: Any) -> None:
-        """Correlate samples a ... b - 1 of one piece, all channels."""
+    def _run(self, a: int, b: int, p: int, nco: Nco, rows: Any) -> None:
+        """Correlate samples a ... b - 1 of piece p, all channels."""
         arguments: tuple[Any, ...] = (
-            (a, b, t0_s, self._source.sample_rate_hz),
-            self._source.if_hz / self._source.sample_rate_hz,
-            1.0 / self._source.sigma,
-            self._planar,
-            line,
-            np.asarray(nco.dump_chips, np.int64),
-            np.asarray(nco.valid, np.bool_),
+            np.ascontiguousarray(self._source.samples(a, b)).reshape(-1),
+            (a, p, self._source.sample_rate_hz, self._source.if_hz, self._source.sigma),
+            nco,
             self._table,
             self._length,
             self.offset_chips,
@@ -170,6 +153,7 @@ class SampleCorrelator:
 
 _F = np.float32
 _32 = np.uint64(32)
+_PAD = 144  # keeps the rows of a buffer off a common address modulo 4096
 # columns of a channel's position: is the index known, is a sum open, index, first sample, length
 _KNOWN, _OPEN, _INDEX, _FIRST, _DUMP = 0, 1, 2, 3, 4
 
@@ -184,15 +168,24 @@ def _deinterleave(block: np.ndarray, i: np.ndarray, q: np.ndarray) -> None:
 
 @kernel(fastmath=FAST_SUM)
 def _wipe(
-    i: np.ndarray, q: np.ndarray, base: Any, step: Any, bend: Any, wi: np.ndarray, wq: np.ndarray
+    i: np.ndarray,
+    q: np.ndarray,
+    n: int,
+    coarse: np.ndarray,
+    fine: np.ndarray,
+    wi: np.ndarray,
+    wq: np.ndarray,
 ) -> None:
-    """Samples (n,) times the conjugate carrier into wi, wq (n,)."""
-    n = i.shape[0]
-    last = _F(n)
-    for j in range(n):
-        c, s = cos_sin(carrier_phase(j, base, step, bend, last))
-        wi[j] = i[j] * c + q[j] * s
-        wq[j] = q[j] * c - i[j] * s
+    """n samples times the conjugate carrier into wi, wq; whole strides, the last overruns n."""
+    fine_c, fine_s = fine[0], fine[1]
+    for m in range((n + STRIDE - 1) // STRIDE):
+        start = np.uint64(m * STRIDE)
+        c, s = coarse[0, m], coarse[1, m]
+        for k in range(np.uint64(fine_c.shape[0])):
+            u = i[start + k] * c + q[start + k] * s
+            v = q[start + k] * c - i[start + k] * s
+            wi[start + k] = u * fine_c[k] + v * fine_s[k]
+            wq[start + k] = v * fine_c[k] - u * fine_s[k]
 
 
 @kernel(fastmath=FAST_SUM)
@@ -206,8 +199,15 @@ def _sum_tap(wi: np.ndarray, wq: np.ndarray, base: Any, step: Any, table: np.nda
     return si, sq
 
 
-@kernel
-def _carrier(line: np.ndarray, dt: float) -> float:
+@kernel(inline="always")
+def _code(line: Any, dt: float) -> float:
+    """NCO code phase [chips]; ``line`` is the command of one channel in one piece."""
+    return line[0] + line[1] * dt
+
+
+@kernel(inline="always")
+def _carrier(line: Any, dt: float) -> float:
+    """NCO carrier phase [cycles]."""
     return line[2] + dt * (line[3] + 0.5 * line[4] * dt)
 
 
@@ -224,7 +224,7 @@ def _begin(position: np.ndarray, x: float, dump: int, chips_per_sample: float) -
 
 @kernel
 def _align(position: np.ndarray, x: float, dump: int, chips_per_sample: float) -> bool:
-    """At the first sample of a piece: True if a new integration opens here."""
+    """At the first sample of a cell: True if a new integration opens here."""
     if position[_KNOWN] and position[_DUMP] == dump:
         middle = (position[_INDEX] + 0.5) * dump
         if abs(x - middle) <= dump:
@@ -235,13 +235,13 @@ def _align(position: np.ndarray, x: float, dump: int, chips_per_sample: float) -
 
 @kernel
 def _finish(
-    channel: int, n: int, x: float, carrier: float, unit: float, state: Any, rows: Any
+    channel: int, n: int, x: float, carrier: float, sigma: float, state: Any, rows: Any
 ) -> None:
     """Write the open sums of a channel, which end before sample n, as its next row."""
     position, start, sums = state
     whole, real, iq, count = rows
     row = count[channel]
-    scale = unit / math.sqrt(n - position[channel, _FIRST])
+    scale = 1.0 / (sigma * math.sqrt(n - position[channel, _FIRST]))
     whole[channel, row] = position[channel, _INDEX]
     real[channel, row, 0] = position[channel, _FIRST]
     real[channel, row, 1] = n
@@ -269,68 +269,91 @@ def _open(channel: int, n: int, x: float, carrier: float, state: Any) -> None:
 def _correlate(
     c0: int,
     c1: int,
-    span: tuple[int, int, float, float],
-    if_ratio: float,
-    unit: float,
-    planar: np.ndarray,
-    lines: np.ndarray,
-    dump_chips: np.ndarray,
-    valid: np.ndarray,
+    block: np.ndarray,
+    span: tuple[int, int, float, float, float],
+    nco: Nco,
     table: np.ndarray,
     length: int,
     offset_chips: np.ndarray,
     state: Any,
     rows: Any,
 ) -> None:
-    """Channels c0 ... c1 - 1 over samples a ... b - 1 of one piece of the command."""
-    a, b, t0_s, fs = span
-    position, _, sums = state
-    wi, wq = np.empty(CELL, np.float32), np.empty(CELL, np.float32)
-    for channel in range(c0, c1):
-        if not valid[channel]:
-            position[channel, _KNOWN] = 0
-            continue
-        line, dump = lines[channel], dump_chips[channel]
-        slope = line[1] / fs
-        dt = a / fs - t0_s
-        if _align(position[channel], line[0] + line[1] * dt, dump, slope):
-            _open(channel, a, line[0] + line[1] * dt, _carrier(line, dt), state)
-        for start in range(a, b, CELL):
-            end = min(start + CELL, b)
-            dt = start / fs - t0_s
-            base, step, bend = _phases(line, dt, end - start, fs, start * if_ratio, if_ratio)
-            i, q = planar[0, start - a : end - a], planar[1, start - a : end - a]
-            _wipe(i, q, base, step, bend, wi, wq)
-            x = line[0] + line[1] * dt
-            n = start
-            while True:
-                # first sample at or past the end of the integration under way
-                to_go = (position[channel, _INDEX] + 1) * dump - x
-                bound = max(n, start + math.ceil(to_go / slope - GUARD_SAMPLES))
-                stop = min(bound, end)
-                if position[channel, _OPEN] and stop > n:
-                    wi_n, wq_n = wi[n - start : stop - start], wq[n - start : stop - start]
-                    for k in range(offset_chips.shape[0]):
-                        x_n = x + slope * (n - start) - offset_chips[k]
-                        code, code_step = code_steps(x_n, slope, length)
-                        si, sq = _sum_tap(wi_n, wq_n, code, code_step, table[channel])
-                        sums[channel, k, 0] += si
-                        sums[channel, k, 1] += sq
-                if bound >= end:
-                    break
-                n = bound
-                dt_n = n / fs - t0_s
-                x_n, carrier = line[0] + line[1] * dt_n, _carrier(line, dt_n)
-                if position[channel, _OPEN]:
-                    _finish(channel, n, x_n, carrier, unit, state, rows)
-                position[channel, _INDEX] += 1
-                _open(channel, n, x_n, carrier, state)
+    """Channels c0 ... c1 - 1 over a block of samples (2 n,) within piece p of the command."""
+    a, p, fs, if_hz, sigma = span
+    buffers = np.zeros((4, CELL + _PAD), np.float32)
+    coarse, fine = np.empty((2, CELL // STRIDE), np.float32), np.empty((2, STRIDE), np.float32)
+    i, q, wi, wq = buffers[0], buffers[1], buffers[2], buffers[3]
+    b = a + block.shape[0] // 2
+    for start in range(a, b, CELL):
+        n = min(CELL, b - start)
+        _deinterleave(block[2 * (start - a) : 2 * (start - a + n)], i, q)
+        dt = start / fs - nco.t_s[p]
+        for channel in range(c0, c1):
+            if nco.valid[channel]:
+                line = (
+                    nco.code_phase_chips[p, channel],
+                    nco.chip_rate_hz[p, channel],
+                    nco.carrier_phase_cycles[p, channel],
+                    nco.carrier_freq_hz[p, channel],
+                    nco.carrier_rate_hz_per_s[p, channel],
+                )
+                base, step, bend = _phases(line, dt, n, fs, start * (if_hz / fs), if_hz / fs)
+                carrier_phasors(base, step, bend, n, coarse, fine)
+                _wipe(i, q, n, coarse, fine, wi, wq)
+                _cell(channel, start, n, nco.t_s[p], fs, sigma, line, nco.dump_chips[channel],
+                      wi, wq, table[channel], length, offset_chips, state, rows)  # fmt: skip
+            else:
+                state[0][channel, _KNOWN] = 0
 
 
 @kernel
-def _phases(
-    line: np.ndarray, dt: float, n: int, fs: float, if_start: float, if_ratio: float
-) -> Any:
+def _cell(
+    channel: int,
+    start: int,
+    n: int,
+    t0_s: float,
+    fs: float,
+    sigma: float,
+    line: Any,
+    dump: int,
+    wi: np.ndarray,
+    wq: np.ndarray,
+    table: np.ndarray,
+    length: int,
+    offset_chips: np.ndarray,
+    state: Any,
+    rows: Any,
+) -> None:
+    """Sum the n wiped samples of a cell, in the piece that begins at t0_s; cut at ends of dumps."""
+    position, _, sums = state
+    dt = start / fs - t0_s
+    x, slope = _code(line, dt), line[1] / fs
+    if _align(position[channel], x, dump, slope):
+        _open(channel, start, x, _carrier(line, dt), state)
+    a = 0
+    while a < n:
+        # first sample at or past the end of the integration under way
+        to_go = (position[channel, _INDEX] + 1) * dump - x
+        bound = max(a, math.ceil(to_go / slope - GUARD_SAMPLES))
+        b = min(bound, n)
+        if position[channel, _OPEN] and b > a:
+            for k in range(offset_chips.shape[0]):
+                code, step = code_steps(x + slope * a - offset_chips[k], slope, length)
+                si, sq = _sum_tap(wi[a:b], wq[a:b], code, step, table)
+                sums[channel, k, 0] += si
+                sums[channel, k, 1] += sq
+        if bound >= n:
+            break
+        a = bound
+        dt_a = (start + a) / fs - t0_s
+        if position[channel, _OPEN]:
+            _finish(channel, start + a, _code(line, dt_a), _carrier(line, dt_a), sigma, state, rows)
+        position[channel, _INDEX] += 1
+        _open(channel, start + a, _code(line, dt_a), _carrier(line, dt_a), state)
+
+
+@kernel
+def _phases(line: Any, dt: float, n: int, fs: float, if_start: float, if_ratio: float) -> Any:
     """`carrier_steps` of carrier and intermediate frequency over n samples from dt."""
     if_start -= math.floor(if_start)
     return carrier_steps(

@@ -26,11 +26,10 @@ from typing import Any
 import numpy as np
 
 from signals.compiled import FAST_SUM, kernel
-from signals.elementary import cos_sin
 from signals.noise import CELL, complex_gaussian_cell, stream_key
 from signals.propagation import SignalState
 from signals.recording import Recording, SampleFormat, check_range
-from signals.replica import carrier_phase, carrier_steps, code_steps, replica_table
+from signals.replica import STRIDE, carrier_phasors, carrier_steps, code_steps, replica_table
 
 GUARD_SAMPLES = 1e-5
 """Instants this little after a sample still include it: float64 resolves 2e-6 samples at 1 h"""
@@ -219,15 +218,17 @@ def _fill_chips(chip: np.ndarray, code_base: Any, code_step: Any, table: np.ndar
 
 @kernel(fastmath=FAST_SUM)
 def _add_carrier(
-    i: np.ndarray, q: np.ndarray, chip: np.ndarray, amplitude: Any, base: Any, step: Any, bend: Any
+    i: np.ndarray, q: np.ndarray, chip: np.ndarray, size: Any, coarse: np.ndarray, fine: np.ndarray
 ) -> None:
-    """Add amplitude x chip x carrier to float32 i, q (n,)."""
-    n = i.shape[0]
-    last = _F(n)
-    for j in range(n):
-        c, s = cos_sin(carrier_phase(j, base, step, bend, last))
-        i[j] += amplitude * chip[j] * c
-        q[j] += amplitude * chip[j] * s
+    """Add size x chip x carrier to float32 i, q (n,); see `carrier_phasors`."""
+    n = np.uint64(i.shape[0])
+    fine_c, fine_s = fine[0], fine[1]
+    for m in range((i.shape[0] + STRIDE - 1) // STRIDE):
+        start = np.uint64(m * STRIDE)
+        c, s = size * coarse[0, m], size * coarse[1, m]
+        for k in range(min(np.uint64(STRIDE), n - start)):
+            i[start + k] += chip[start + k] * (c * fine_c[k] - s * fine_s[k])
+            q[start + k] += chip[start + k] * (s * fine_c[k] + c * fine_s[k])
 
 
 @kernel
@@ -235,6 +236,8 @@ def _add_piece(
     i: np.ndarray,
     q: np.ndarray,
     chip: np.ndarray,
+    coarse: np.ndarray,
+    fine: np.ndarray,
     n: int,
     t0_s: float,
     sample_rate_hz: float,
@@ -272,7 +275,8 @@ def _add_piece(
         data = symbols[min(max(symbol - first_symbol, 0), symbols.shape[0] - 1)]
         chips = chip[: b - a]
         _fill_chips(chips, code_base, code_step, table)
-        _add_carrier(i[a:b], q[a:b], chips, _F(amplitude * data), base, step, bend)
+        carrier_phasors(base, step, bend, b - a, coarse, fine)
+        _add_carrier(i[a:b], q[a:b], chips, _F(amplitude * data), coarse, fine)
         a = b
 
 
@@ -310,6 +314,7 @@ def _generate(
     """Samples n0 ... n0 + n - 1 into ``out`` (n, 2), by whole cells."""
     n1 = n0 + out.shape[0]
     i, q, chip = np.empty(CELL, _F), np.empty(CELL, _F), np.empty(CELL, _F)
+    coarse, fine = np.empty((2, CELL // STRIDE), _F), np.empty((2, STRIDE), _F)
     flat = out.reshape(-1)
     piece = 0
     for cell in range(n0 // CELL, (n1 + CELL - 1) // CELL):
@@ -331,6 +336,8 @@ def _generate(
                         i[a:b],
                         q[a:b],
                         chip,
+                        coarse,
+                        fine,
                         start + a,
                         t_s[p],
                         sample_rate_hz,

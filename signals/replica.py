@@ -11,8 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from signals.compiled import kernel
-from signals.elementary import TURN, wrap
+from signals.compiled import FAST_SUM, kernel
+from signals.elementary import TURN, cos_sin, wrap
+
+STRIDE = 64
+"""Samples that share a coarse carrier phasor: two short tables replace a sine per sample"""
 
 
 def replica_table(chips: np.ndarray) -> np.ndarray:
@@ -27,7 +30,7 @@ def replica_table(chips: np.ndarray) -> np.ndarray:
 def carrier_steps(start: float, middle: float, end: float, n: int) -> tuple[Any, Any, Any]:
     """Fixed-point phase and step [2^-32 cycles] (int32) over n samples, and the bend (float32).
 
-    From the phases [cycles] at samples 0, n / 2 and n; see `carrier_phase`.
+    From the phases [cycles] at samples 0, n / 2 and n; for `carrier_phasors`.
     """
     base = np.int64((start - math.floor(start)) * TURN)
     step = np.int64(np.rint((end - start) / n * TURN))
@@ -35,12 +38,24 @@ def carrier_steps(start: float, middle: float, end: float, n: int) -> tuple[Any,
     return wrap(base), wrap(step), np.float32(bend)
 
 
-@kernel(inline="always")
-def carrier_phase(j: Any, base: Any, step: Any, bend: Any, n: Any) -> Any:
-    """Phase of sample j of n as int32 [2^-32 cycles]: chord + bend j (n - j)."""
-    x = np.float32(np.int32(j))
-    chord = np.int64(base) + np.int64(np.int32(j)) * np.int64(step)
-    return wrap(chord + np.int64(np.int32(bend * x * (n - x))))
+@kernel(fastmath=FAST_SUM)
+def carrier_phasors(
+    base: Any, step: Any, bend: Any, n: int, coarse: np.ndarray, fine: np.ndarray
+) -> None:
+    """Carrier of n samples as products: sample STRIDE m + k is coarse[:, m] x fine[:, k].
+
+    ``coarse`` (2, >= n / STRIDE) and ``fine`` (2, STRIDE) are float32, rows cos and sin.  The
+    phase is chord + bend j (n - j), j the middle of the stride: at 10 g and 4 MHz the rest is
+    below 6e-7 cycles, of zero mean.
+    """
+    last = np.float32(n)
+    for m in range((n + STRIDE - 1) // STRIDE):
+        j = np.float32(np.int32(STRIDE * m + STRIDE // 2))
+        chord = np.int64(base) + np.int64(np.int32(STRIDE * m)) * np.int64(step)
+        phase = wrap(chord + np.int64(np.int32(bend * j * (last - j))))
+        coarse[0, m], coarse[1, m] = cos_sin(phase)
+    for k in range(STRIDE):
+        fine[0, k], fine[1, k] = cos_sin(wrap(np.int64(np.int32(k)) * np.int64(step)))
 
 
 @kernel
