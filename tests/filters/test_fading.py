@@ -10,6 +10,7 @@ from ultratight.filters.fading import (
     Fading,
     FadingOptions,
     _fading_factor,
+    _remember,
     block_mask,
     reading_i,
     reading_ii,
@@ -150,6 +151,14 @@ def test_memory_with_channels_that_come_and_go(make):
         seen[rows] = True
     np.testing.assert_allclose(fading.V0, expected, atol=1e-14)
     assert fading.elapsed_s == pytest.approx(0.12)
+
+
+@pytest.mark.nojit
+def test_channel_present_twice_leaves_its_later_block():
+    V0, seen = 2.0 * np.ones((1, 1)), np.ones(1, dtype=bool)
+    V = _remember(V0, seen, np.zeros(2, dtype=np.int64), np.array([1.0, 3.0]), 0.95)
+    np.testing.assert_allclose(V, (1.9 + np.array([[1.0, 3.0], [3.0, 9.0]])) / 1.95)
+    assert V0[0, 0] == V[1, 1]
 
 
 def run_once(make, options, offset, n=17, seed=4, kind="phase"):

@@ -183,11 +183,12 @@ def _remember(
     for a in range(m):
         for b in range(m):
             i, j = rows[a], rows[b]
-            fresh = nu[a] * nu[b]
+            V[a, b] = nu[a] * nu[b]
             if seen[i] and seen[j]:
-                fresh = (rho * V0[i, j] + fresh) / (1.0 + rho)
-            V[a, b] = fresh
-            V0[i, j] = fresh
+                V[a, b] = (rho * V0[i, j] + V[a, b]) / (1.0 + rho)
+    for a in range(m):  # a channel present twice in an epoch leaves its later block
+        for b in range(m):
+            V0[rows[a], rows[b]] = V[a, b]
     for a in range(m):
         seen[rows[a]] = True
     return V
