@@ -34,7 +34,8 @@ Quiet = Annotated[bool, typer.Option("--quiet", help="no progress, no warnings")
 Json = Annotated[bool, typer.Option("--json", help="print one JSON object")]
 
 
-def _whole(text: str) -> int:
+def _whole(given: str | int) -> int:
+    text = str(given)  # the default comes as a number
     if not (text.isascii() and text.isdigit() and int(text) < 2**63):
         raise typer.BadParameter(f"{text!r} given, expected a whole number from 0 to 2^63 - 1")
     return int(text)
@@ -288,10 +289,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command and return its exit code: 0 done, 1 failed, 2 bad input, 130 interrupted."""
     given = list(sys.argv[1:] if arguments is None else arguments) or ["--help"]
     try:
-        return int(app(given, prog_name="ultratight", standalone_mode=False) or DONE)
+        # typer itself turns an interrupt into this code, or into Abort, by version
+        code = int(app(given, prog_name="ultratight", standalone_mode=False) or DONE)
     except (KeyboardInterrupt, typer.Abort):
-        print("interrupted, nothing half-written is left", file=sys.stderr)
-        return INTERRUPTED
+        code = INTERRUPTED
     except Exception as error:
         failure = _failure(error)
         if failure is None:
@@ -301,7 +302,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(f"error: {line}", file=sys.stderr)
         if "--json" in given:
             print(json.dumps({"error_kind": kind, "message": "\n".join(lines)}))
-        return code
+    if code == INTERRUPTED:
+        print("interrupted, nothing half-written is left", file=sys.stderr)
+    return code
 
 
 if __name__ == "__main__":

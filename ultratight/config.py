@@ -37,7 +37,7 @@ def parse_toml(text: str, source: str) -> dict[str, Any]:
         at = re.search(r" \(at (?:line (\d+), column \d+|end of document)\)$", message)
         if at:
             message = message[: at.start()]
-            line = f" line {at.group(1)}" if at.group(1) else " last line"
+            line = f" line {at.group(1) or text.count(chr(10)) + 1}"
         if message.startswith(("Cannot overwrite", "Cannot declare")):
             message = f"given twice, each key and table is expected once ({message})"
         raise InvalidInput(f"{source}{line}: not valid TOML: {message}") from None
@@ -72,8 +72,9 @@ def merge(base: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str, Any]:
     merged = dict(base)
     for key, value in change.items():
         below = merged.get(key)
-        both = isinstance(below, Mapping) and isinstance(value, Mapping)
-        merged[key] = merge(below, value) if both else value  # type: ignore[arg-type]
+        if isinstance(below, Mapping) and isinstance(value, Mapping):
+            value = merge(below, value)
+        merged[key] = value
     return merged
 
 
@@ -259,7 +260,8 @@ def _problem(model: type[BaseModel], error: Mapping[str, Any]) -> str:
             return f"{dotted(location)}: missing, expected a value"
     if kind == "extra_forbidden":
         keys = _known_keys(model, location)
-        near = difflib.get_close_matches(str(location[-1]), keys, 1, 0.5)
+        given = str(location[-1])
+        near = difflib.get_close_matches(given, keys, 1) or [k for k in keys if given in k]
         hint = f"did you mean {near[0]}?" if near else f"expected one of {', '.join(keys)}"
         return f"{dotted(location)}: unknown key, {hint}"
     if (

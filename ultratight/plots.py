@@ -95,7 +95,8 @@ def lock_events(runs: Sequence[Run], ax: Axes, labels: Sequence[str] | None = No
         ax.plot([], [], color=colour, label=labels[k])
     ax.set_yticks(range(len(names)), [name.partition(":")[0] for name in names], fontsize="small")
     ax.set_ylabel("in lock")
-    ax.legend(loc="lower left", fontsize="small", ncols=len(runs))
+    ax.set_ylim(-0.6, len(names) + 1.2)
+    ax.legend(loc="upper right", fontsize="small", ncols=len(runs))
     return _time_axis(ax, runs[0])
 
 
@@ -138,7 +139,10 @@ def label(run: Run) -> str:
 def _title(run: Run) -> str:
     s = run.summary
     how = [s.get("closure"), s.get("measurement"), f"taps from {s.get('correlator')}"]
-    cause = run.scenario.get("imu", {}).get("accel_scale_factor_ppm", ["grade's own"])[0]
+    imu = run.scenario.get("imu", {})
+    cause = imu.get("accel_scale_factor_ppm", ["grade's own"])[0]
+    if imu.get("accel_scale_factor_alternates") and run.seed % 2 == 0:
+        cause = -cause
     return (
         f"{s.get('scenario')}: {run.scenario.get('title', '')}\n"
         f"{', '.join(x for x in how if x)}; seed {run.seed}; accelerometer scale factor, x axis: "

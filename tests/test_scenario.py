@@ -1,0 +1,247 @@
+"""Scenario: what ships is what the specification says, what is wrong is said in one line each."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ultratight import config, scenario
+from ultratight.scenario import PRESETS, InvalidInput, Scenario, load
+
+
+def problems(*changes: str, source: str | Path = "jump-1") -> list[str]:
+    with pytest.raises(InvalidInput) as caught:
+        load(source, changes)
+    return caught.value.problems
+
+
+# -- presets ---------------------------------------------------------------------------------------
+
+# the specification's table of cases: first speed, speed at the end, peak |acceleration|
+CASES = {
+    "jump-1": (200.0, 1200.0, 100.0),
+    "jump-2": (200.0, 200.0, 100.0),
+    "jump-3": (1200.0, 200.0, 50.0),
+    # 300 + 150 - 200 + 450 - 270 + 180 - 360 + 140 over the eight ramps
+    "jump-4": (200.0, 590.0, 120.0),
+    "uniform": (200.0, 200.0, 0.0),
+    "accelerated": (200.0, 1200.0, 20.0),
+    "static": (0.0, 0.0, 0.0),
+}
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_presets_fly_what_the_specification_says(name: str) -> None:
+    s = load(name)
+    gained = sum((g.accel0_mps2 + g.accel1_mps2) / 2 * (g.t1_s - g.t0_s) for g in s.profile)
+    peak = max([0.0, *(max(abs(g.accel0_mps2), abs(g.accel1_mps2)) for g in s.profile)])
+    assert (s.speed_mps, s.speed_mps + gained, peak) == pytest.approx(CASES[name])
+    assert s.name == name
+    assert s.title
+    assert s.why
+    assert not s.warnings()
+
+
+@pytest.mark.parametrize("name", [p for p in PRESETS if p != "static"])
+def test_paper_presets_share_sky_and_cause(name: str) -> None:
+    s = load(name)
+    assert (s.start_week, s.start_tow_s, s.mask_deg) == (2149, 475_220.0, 10.0)
+    assert s.position_lla_deg_m == (39.9, 116.4, 8000.0)
+    assert math.radians(s.heading_deg) == pytest.approx(0.7, abs=1e-15)
+    assert s.imu.accel_scale_factor_ppm == (3000.0, 0.0, 0.0)
+    assert s.imu.accel_scale_factor_alternates
+    assert s.cn0_dbhz == 35.0
+    assert s.receiver.measurement == "coherent"
+    assert s.receiver.fall_back is False
+    assert s.duration_s == 50.0
+
+
+def test_every_shipped_file_is_listed() -> None:
+    folder = Path(scenario.__file__).parent / "presets"
+    assert {p.stem for p in folder.glob("*.toml")} == set(PRESETS)
+
+
+def test_fall_back_is_on_unless_a_preset_says_otherwise() -> None:
+    assert Scenario(name="x", duration_s=1.0).receiver.fall_back is True
+
+
+# -- extends, overrides, round trips ---------------------------------------------------------------
+
+
+def test_extends_merges_tables_and_replaces_lists(tmp_path: Path) -> None:
+    (tmp_path / "base.toml").write_text(
+        'extends = "jump-2"\ntitle = "mine"\n'
+        "[imu]\nlag_s = 0.01\n[receiver.knows]\ntilt_sigma_mrad = 9\n"
+    )
+    top = tmp_path / "top.toml"
+    top.write_text(
+        'extends = "base.toml"\n[[profile]]\nt0_s = 1\nt1_s = 2\naccel0_mps2 = 5\naccel1_mps2 = 6\n'
+    )
+    s = load(top, {"cn0_dbhz": 40})
+    assert (s.name, s.title) == ("top", "mine")
+    assert (s.imu.lag_s, s.imu.accel_scale_factor_ppm) == (0.01, (3000.0, 0.0, 0.0))
+    assert s.receiver.knows.tilt_sigma_mrad == 9.0
+    assert [g.accel1_mps2 for g in s.profile] == [6.0]
+    assert s.cn0_dbhz == 40.0
+
+
+def test_extends_in_a_circle_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.toml").write_text('extends = "b.toml"\n')
+    (tmp_path / "b.toml").write_text('extends = "a.toml"\n')
+    (line,) = problems(source=tmp_path / "a.toml")
+    assert "a.toml -> b.toml -> a.toml" in line
+
+
+def test_a_navigation_file_is_found_beside_the_scenario(tmp_path: Path) -> None:
+    (tmp_path / "brdc.nav").write_text("")
+    (tmp_path / "mine.toml").write_text('extends = "jump-1"\nconstellation = "brdc.nav"\n')
+    assert load(tmp_path / "mine.toml").constellation == str(tmp_path / "brdc.nav")
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_toml_round_trip(name: str) -> None:
+    s = load(name, {"channel.cn0_by_prn_dbhz": {"G07": 31.5}, "imu.lag_s": 1e-7})
+    again = Scenario.from_toml(s.to_toml())
+    assert again == s
+    assert again.digest() == s.digest()
+
+
+@given(
+    st.recursive(
+        st.booleans() | st.integers(-(2**62), 2**62) | st.floats(allow_nan=False) | st.text(),
+        lambda inner: st.lists(inner, max_size=3),
+        max_leaves=6,
+    )
+)
+def test_written_toml_means_the_same(value: object) -> None:
+    """Our writer against the standard library's reader."""
+    text = config.write_toml({"a b": {"k": value}, "rows": [{"x": value}, {"x": 1}]})
+    assert tomllib.loads(text) == {"a b": {"k": value}, "rows": [{"x": value}, {"x": 1}]}
+
+
+def test_digest_is_stable_and_sees_every_change() -> None:
+    base = load("jump-1")
+    assert base.digest() == load("jump-1").digest() == base.replace({}).digest()
+    assert len(base.digest()) == 64
+    # an integer for a float is the same scenario
+    assert load("jump-1", ["cn0_dbhz=35"]).digest() == base.digest()
+    changes = ["cn0_dbhz=35.5", "imu.lag_s=0", "receiver.knows.cn0_sigma_db=2", "prns=[7,8,16,27]"]
+    digests = {load("jump-1", [change]).digest() for change in changes}
+    assert len(digests | {base.digest()}) == len(changes) + 1
+
+
+def test_overrides_are_toml_values_or_bare_words() -> None:
+    s = load(
+        "jump-1",
+        ["receiver.closure=scalar", 'correlator.kind="samples"', "imu.lever_arm_b_m=[1, 0, -2.5]"],
+    )
+    assert (s.receiver.closure, s.correlator.kind) == ("scalar", "samples")
+    assert s.imu.lever_arm_b_m == (1.0, 0.0, -2.5)
+
+
+def test_a_scenario_cannot_be_changed() -> None:
+    s = load("jump-1")
+    with pytest.raises(ValueError, match="frozen"):
+        s.cn0_dbhz = 40.0
+    assert s.replace({"cn0_dbhz": 40.0}).cn0_dbhz == 40.0
+    assert s.cn0_dbhz == 35.0
+
+
+def test_built_in_python_it_obeys_the_same_rules() -> None:
+    with pytest.raises(ValueError, match="a multiple of epoch_s"):
+        Scenario(name="x", duration_s=1.01)
+
+
+# -- what is said about bad input ------------------------------------------------------------------
+
+
+def test_all_problems_at_once_and_one_line_each() -> None:
+    found = problems(
+        "imu.lag=3",
+        "imu.lag_s=true",
+        "cn0_dbhz='35 dBHz'",
+        "clock.bias_m=nan",
+        "imu.lever_arm_b_m=[1,2]",
+        "receiver.closure=loose",
+        "receiver.filter=best",
+        "front_end.if_hz=3e6",
+        "profile=[{t0_s=3,t1_s=2},{t0_s=1,t1_s=90, a=3}]",
+    )
+    starts = {line.split(":")[0] for line in found}
+    assert starts == {
+        "imu.lag",
+        "imu.lag_s",
+        "cn0_dbhz",
+        "clock.bias_m",
+        "imu.lever_arm_b_m",
+        "receiver.closure",
+        "receiver.filter",
+        "front_end.if_hz",
+        "profile[1].a",
+    }
+    assert not [line for line in found if "\n" in line]
+
+
+def test_rules_between_keys_are_all_listed() -> None:
+    found = problems(
+        "front_end.sample_rate_hz=1e6",
+        "receiver.knows.data_bits=false",
+        "duration_s=30.01",
+        "profile=[{t0_s=3,t1_s=2},{t0_s=1,t1_s=90}]",
+    )
+    assert [line.split(":")[0] for line in found] == [
+        "front_end.sample_rate_hz",
+        "duration_s",
+        "receiver.measurement",
+        "profile[0].t1_s",
+        "profile[1].t0_s",
+        "profile[1].t1_s",
+    ]
+
+
+def test_data_bits_matter_to_the_coherent_closure_only() -> None:
+    without = ["receiver.knows.data_bits=false"]
+    for other in ("receiver.measurement=differential", "receiver.closure=scalar"):
+        assert load("jump-1", [*without, other])
+
+
+def test_fastest_moment_counts_also_inside_a_ramp() -> None:
+    """From +8000 to -8000 m/s2 in 8 s: the speed peaks at 16 km/s in the middle and is 0 after."""
+    ramp = "profile=[{t0_s=1,t1_s=9,accel0_mps2=8000,accel1_mps2=-8000}]"
+    (line,) = problems("speed_mps=0", ramp)
+    assert "reaches 16000 m/s" in line
+    assert load("jump-1", ["speed_mps=0", ramp.replace("8000", "5000")])
+
+
+# -- warnings --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "phases"),
+    [
+        (4.092e6, 1),  # 4 samples per chip
+        (2.046e6, 1),
+        (2.5575e6, 2),  # 5/2
+        (5.1150e6, 1),
+        (1.023e6 * 37 / 10, 10),
+        (4.092e6 * (1 + 1e-5), 1),  # as good as commensurate within a code period
+        (4.0e6, None),  # 4000/1023
+        (5.0e6, None),
+        (1.023e6 * 41 / 11, None),
+    ],
+)
+def test_sample_rates_in_step_with_the_code_are_warned_of(
+    rate_hz: float, phases: int | None
+) -> None:
+    lines = load("jump-1", {"front_end.sample_rate_hz": rate_hz}).warnings()
+    assert len(lines) == (phases is not None)
+    if phases is not None:
+        assert f"at {phases} phase(s) only" in lines[0]
+        # brute force: where the edges of one code period fall between samples, in bins of 1/20
+        edges = {round(k * rate_hz / 1.023e6 % 1.0 * 20) % 20 for k in range(1023)}
+        assert len(edges) <= 2 * phases
