@@ -17,6 +17,8 @@ from ultratight.ins.attitude import (
     vector_from_rotation,
 )
 
+pytestmark = pytest.mark.nojit
+
 ANGLE = st.floats(-3.1, 3.1)
 VECTOR = st.tuples(*[st.floats(-1.7, 1.7)] * 3).map(np.array)
 

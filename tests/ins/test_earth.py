@@ -15,6 +15,8 @@ from ultratight.ins.earth import (
     rotation_e_from_n,
 )
 
+pytestmark = pytest.mark.nojit
+
 LAT = st.floats(-np.pi / 2, np.pi / 2)
 LON = st.floats(-np.pi, np.pi)
 HEIGHT = st.floats(-11e3, 3e7)

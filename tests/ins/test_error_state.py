@@ -11,6 +11,8 @@ from ultratight.ins.error_state import Layout, ProcessNoise, system_matrix, tran
 from ultratight.ins.imu import Increments
 from ultratight.ins.strapdown import NavState, correct, propagate
 
+pytestmark = pytest.mark.nojit
+
 R = ecef_from_geodetic(np.radians(39.9), np.radians(116.4), 8000.0)
 C_N_E = rotation_e_from_n(np.radians(39.9), np.radians(116.4))
 C = C_N_E @ rotation_from_euler(0.1, -0.2, 0.7)

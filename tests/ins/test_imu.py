@@ -9,6 +9,8 @@ from signals.constants import STANDARD_GRAVITY
 from ultratight.ins import imu
 from ultratight.ins.imu import GRADES, ImuErrors, Increments, corrupt
 
+pytestmark = pytest.mark.nojit
+
 RNG = np.random.default_rng(5)
 
 

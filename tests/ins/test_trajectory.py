@@ -9,6 +9,8 @@ from ultratight.ins.attitude import skew
 from ultratight.ins.earth import gravity, rotation_e_from_n
 from ultratight.ins.trajectory import Segment, Trajectory
 
+pytestmark = pytest.mark.nojit
+
 START = (np.radians(39.9), np.radians(116.4), 8000.0)
 JUMP = Trajectory.from_profile(START, 0.7, 200.0, [Segment(20, 30, 100, 100)])
 WEAVE = Trajectory.from_profile(
