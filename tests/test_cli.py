@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -278,6 +279,35 @@ def test_an_interrupt_leaves_nothing_behind(
     assert said.code == 130
     assert "interrupted" in said.err
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGINT for one process")
+def test_ctrl_c_ends_a_process_with_130_and_no_file(tmp_path: Path) -> None:
+    """A real signal in the middle of writing, when the part file is there."""
+    (tmp_path / "flight.py").write_text(
+        "import sys, time, pathlib, xarray, ultratight.results as r, ultratight.simulation as s\n"
+        "from ultratight.__main__ import main\n"
+        "s.run = lambda scenario, seed, **_: r.Run({}, seed, __import__('numpy').arange(3.0), {})\n"
+        "def write(self, part, **_):\n"
+        "    pathlib.Path(part).write_text('half')\n"
+        "    print('writing', flush=True)\n"
+        "    time.sleep(60)\n"
+        "xarray.Dataset.to_netcdf = write\n"
+        "sys.exit(main(['run', 'jump-1', '--quiet', '--out', 'run.nc']))\n"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "flight.py"],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "writing\n"
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert (process.returncode, err.count("\n")) == (130, 1)
+    assert [p.name for p in tmp_path.iterdir()] == ["flight.py"]
 
 
 # -- what goes well --------------------------------------------------------------------------------
