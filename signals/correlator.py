@@ -133,17 +133,20 @@ class SampleCorrelator:
     def _check(self, nco: Nco, fs: float) -> None:
         n_channel = len(self._table)
         shape = (len(nco.t_s) - 1, n_channel)
+        if np.shape(nco.dump_chips) != (n_channel,) or np.shape(nco.valid) != (n_channel,):
+            raise ValueError(f"nco.dump_chips and nco.valid: expected ({n_channel},) each")
+        if len(nco.t_s) < 2 or not np.all(np.diff(nco.t_s) > 0.0):
+            raise ValueError(f"nco.t_s is {nco.t_s.tolist()}: expected two or more, rising")
         for name in Nco._fields[1:6]:
             if np.shape(getattr(nco, name)) != shape:
                 raise ValueError(f"nco.{name} is {getattr(nco, name).shape}: expected {shape}")
             if not np.isfinite(getattr(nco, name)[:, nco.valid]).all():
                 raise ValueError(f"nco.{name} of a valid channel is not finite")
-        if np.shape(nco.dump_chips) != (n_channel,) or np.shape(nco.valid) != (n_channel,):
-            raise ValueError(f"nco.dump_chips and nco.valid: expected ({n_channel},) each")
         rate = nco.chip_rate_hz[:, nco.valid]
         if not np.all((rate > 0.0) & (rate <= fs)):
             raise ValueError(
-                f"nco.chip_rate_hz is {rate}: expected > 0 and <= {fs} Hz, sampling rate"
+                f"nco.chip_rate_hz is {rate.min()} to {rate.max()}: expected > 0 and at most the "
+                f"sampling rate, {fs} Hz"
             )
         if np.any(nco.dump_chips[nco.valid] < 1):
             raise ValueError(f"nco.dump_chips is {nco.dump_chips}: expected at least one chip")
