@@ -43,7 +43,7 @@ class Taps(NamedTuple):
     """
 
     channel: np.ndarray  # (n_dump,) int64, index into the channel axis of the Nco
-    index: np.ndarray  # (n_dump,) int64, code phase at the start / dump_chips
+    number: np.ndarray  # (n_dump,) int64, code phase at the start / dump_chips
     t_start_s: np.ndarray  # (n_dump,) receiver time of the first sample [s]
     t_end_s: np.ndarray  # (n_dump,) receiver time of the first sample after it [s]
     iq: np.ndarray  # (n_dump, n_tap) complex128

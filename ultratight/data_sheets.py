@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 from signals.clock import OSCILLATORS, Oscillator
 from signals.constants import STANDARD_GRAVITY
@@ -22,7 +24,7 @@ def imu_errors(scenario: Scenario, seed: int) -> ImuErrors:
             f"imu.grade: {imu.grade!r} given, expected one of {', '.join(sorted(GRADES))}"
         )
     sign = -1.0 if imu.accel_scale_factor_alternates and seed % 2 == 0 else 1.0
-    in_si = {
+    in_si: dict[str, tuple[float | None, Callable[[float], float]]] = {
         "accel_bias_turn_on": (imu.accel_bias_mg, mg),
         "accel_bias_in_run": (imu.accel_bias_in_run_ug, ug),
         "accel_bias_tau_s": (imu.accel_bias_tau_s, float),
@@ -38,7 +40,9 @@ def imu_errors(scenario: Scenario, seed: int) -> ImuErrors:
         "gyro_scale_factor_sigma": (imu.gyro_scale_factor_ppm, ppm),
         "gyro_g_dependence": (imu.gyro_g_dependence_deg_h_g, deg_per_h_per_g),
     }
-    changes = {name: convert(x) for name, (x, convert) in in_si.items() if x is not None}
+    changes: dict[str, Any] = {
+        name: convert(x) for name, (x, convert) in in_si.items() if x is not None
+    }
     if imu.accel_scale_factor_ppm is not None:
         changes["accel_scale_factor"] = tuple(sign * ppm(x) for x in imu.accel_scale_factor_ppm)
     return replace(GRADES[imu.grade], **changes)

@@ -64,9 +64,9 @@ class History:
             )
         if self.taps:
             joined = [np.concatenate([t[i] for t in self.taps]) for i in range(5)]
-            channel, index, start, end, iq = joined
+            channel, number, start, end, iq = joined
             out["dump_channel"] = Variable(channel, ("dump",), "1", "channel of the dump")
-            out["dump_index"] = Variable(index, ("dump",), "1", "code phase at start / length")
+            out["dump_number"] = Variable(number, ("dump",), "1", "code phase at start / length")
             out["dump_start"] = Variable(start, ("dump",), "s", "first sample")
             out["dump_end"] = Variable(end, ("dump",), "s", "first sample after")
             unit = "standard deviations of the noise"

@@ -30,9 +30,18 @@ PROGRESS_S = 0.5
 class Closure(Protocol):
     """Who closes the loop: scalar, INS-aided scalar or ultra-tight."""
 
-    epoch_s: float
     events: list[tuple[float, int, str, str]]
-    first_lost_s: np.ndarray
+    """(t_s, channel or -1, kind, reason)"""
+
+    @property
+    def epoch_s(self) -> float:
+        """Length of its epochs."""
+        ...
+
+    @property
+    def first_lost_s(self) -> np.ndarray:
+        """(n_channel,) first loss of lock, NaN where there was none."""
+        ...
 
     def steer(self, t_end_s: float, imu: Increments) -> Nco:
         """Command the NCOs up to t_end_s; ``imu`` has the increments that end by then."""

@@ -89,7 +89,7 @@ def test_mean_and_bounds(
         nco = command([0.0, 13e-3, 0.033], chips=chips, doppler_hz=doppler, dump_chips=dump_chips)
         sampled = from_samples(state, [prn], fs=fs)(nco)
         model = closed_form(state, [prn], fs=fs)(nco)
-        assert len(sampled.index) >= 0.033 * CA_CHIP_RATE_HZ // dump_chips - 1
+        assert len(sampled.number) >= 0.033 * CA_CHIP_RATE_HZ // dump_chips - 1
         for name in set(sampled._fields) - {"iq"}:
             a, b = getattr(sampled, name), getattr(model, name)
             np.testing.assert_allclose(a, b, rtol=0, atol=1e-7, err_msg=name)
@@ -220,8 +220,8 @@ def test_data_symbols_set_the_sign(make: Make, truth: Truth, command: Command) -
     symbols = np.array([[1, -1, 1, 1, -1, -1, 1]], np.int8)
     state = truth(duration_s=0.1, symbols=symbols, first_symbol=-1)
     taps = make(state, [7])(command([0.0, 0.1], dump_chips=10230))
-    expected = np.repeat(symbols[0, 1:], 2)[taps.index]
-    assert taps.index.tolist() == list(range(9))
+    expected = np.repeat(symbols[0, 1:], 2)[taps.number]
+    assert taps.number.tolist() == list(range(9))
     amplitude = np.sqrt(2 * 10**4.5 * 0.01)
     np.testing.assert_allclose(taps.iq[:, 1], expected * amplitude, atol=2e-3 * amplitude)
 

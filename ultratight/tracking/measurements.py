@@ -41,7 +41,7 @@ class Bits(NamedTuple):
     """Data bits that are complete, one row each; and each channel's first half that waits."""
 
     channel: np.ndarray  # (n_bit,) int64
-    index: np.ndarray  # (n_bit,) int64, number of the data bit
+    number: np.ndarray  # (n_bit,) int64, of the data bit
     t_mid_s: np.ndarray  # (n_bit,)
     half_s: np.ndarray  # (n_bit,) length of a half [s]
     iq: np.ndarray  # (n_bit, 2, n_tap) complex, known rotation taken out
@@ -52,7 +52,7 @@ class HalfBits:
     """Pairs the half-bit dumps of each channel; a half that waits is kept with its times."""
 
     def __init__(self, n_channel: int, n_tap: int) -> None:
-        self.index = np.full(n_channel, -(10**9), dtype=np.int64)
+        self.number = np.full(n_channel, -(10**9), dtype=np.int64)
         self.t_s = np.zeros((n_channel, 2))
         self.iq = np.zeros((n_channel, n_tap), dtype=np.complex128)
 
@@ -69,8 +69,8 @@ class HalfBits:
             np.empty(n_dump),
         )
         n_bit = _pair_halves(
-            taps.channel, taps.index, taps.t_start_s, taps.t_end_s, taps.iq, taps.noise_var,
-            self.index, self.t_s, self.iq,
+            taps.channel, taps.number, taps.t_start_s, taps.t_end_s, taps.iq, taps.noise_var,
+            self.number, self.t_s, self.iq,
             steering.known_t_s, steering.known_carrier, steering.known_range, out,
         )  # fmt: skip
         return Bits(*(a[:n_bit] for a in out))
@@ -137,7 +137,7 @@ def differential(
     nb = bits.channel.size
     z, R, A = np.empty((nb, 3)), np.zeros((nb, 3, 3)), np.zeros((nb, 2, n_state))
     params = np.empty((nb, 4))
-    _build(bits, los, lag1, spacing_chips, amplitude2, params, A, 1)
+    _build(bits, los, lag1, spacing_chips, params, A, 1)
     _z_differential(bits.iq, bits.channel, bits.half_s, amplitude2, clock_sf, z, R)
     model = DifferentialModel(params)
     return Measurement(z, A, R, model, model.jacobian, bits.channel)
@@ -157,7 +157,7 @@ def coherent(
     nb = bits.channel.size
     z, R, A = np.empty((nb, 3)), np.zeros((nb, 3, 3)), np.zeros((nb, 3, n_state))
     params = np.empty((nb, 4))
-    _build(bits, los, lag1, spacing_chips, amplitude2, params, A, 2)
+    _build(bits, los, lag1, spacing_chips, params, A, 2)
     _phase_rows(bits.channel, bits.t_mid_s - los.t_s, phase_start, A)
     _z_coherent(bits.iq, bits.channel, data, amplitude2, z, R)
     model = CoherentModel(params)
@@ -165,43 +165,54 @@ def coherent(
 
 
 @kernel
-def _correlation(d, lag1):
+def _correlation(d: float, lag1: float) -> float:
     """R(d): linear between the code's own values at lags 0 and 1, flat beyond."""
     d = abs(d)
     return 1.0 - d * (1.0 - lag1) if d < 1.0 else lag1
 
 
 @kernel
-def _slope(d, lag1):
+def _slope(d: float, lag1: float) -> float:
     """dR/dd, zero at the kinks."""
     return 0.0 if abs(d) >= 1.0 else -np.sign(d) * (1.0 - lag1)
 
 
 @kernel
-def _sinc(x):
+def _sinc(x: float) -> float:
     return 1.0 - x * x / 6.0 if abs(x) < 1e-4 else np.sin(x) / x
 
 
 @kernel
 def _pair_halves(
-    channel, index, t_start, t_end, iq, noise_var,
-    wait_index, wait_t, wait_iq, known_t, known_carrier, known_range, out,
-):  # fmt: skip
+    channel: np.ndarray,
+    number: np.ndarray,
+    t_start: np.ndarray,
+    t_end: np.ndarray,
+    iq: np.ndarray,
+    noise_var: np.ndarray,
+    wait_number: np.ndarray,
+    wait_t: np.ndarray,
+    wait_iq: np.ndarray,
+    known_t: np.ndarray,
+    known_carrier: np.ndarray,
+    known_range: np.ndarray,
+    out: Bits,
+) -> int:
     """Fill the rows of `Bits` in out; returns their number."""
     n_bit = 0
     for k in range(channel.size):
         i = channel[k]
         scale = 1.0 / np.sqrt(noise_var[k])
-        if index[k] % 2 == 0:
-            wait_index[i] = index[k]
+        if number[k] % 2 == 0:
+            wait_number[i] = number[k]
             wait_t[i, 0], wait_t[i, 1] = t_start[k], t_end[k]
             wait_iq[i] = iq[k] * scale
-        elif wait_index[i] == index[k] - 1:
+        elif wait_number[i] == number[k] - 1:
             t0, t1, t2 = wait_t[i, 0], wait_t[i, 1], t_end[k]
             turn1 = mean_known(known_t, known_carrier[:, i], t0, t1)
             turn2 = mean_known(known_t, known_carrier[:, i], t_start[k], t2)
             out.channel[n_bit] = i
-            out.index[n_bit] = index[k] // 2
+            out.number[n_bit] = number[k] // 2
             out.t_mid_s[n_bit] = 0.5 * (t0 + t2)
             out.half_s[n_bit] = 0.5 * (t2 - t0)
             out.iq[n_bit, 0] = wait_iq[i] * np.exp(-2j * np.pi * turn1)
@@ -212,7 +223,15 @@ def _pair_halves(
 
 
 @kernel
-def _build(bits, los, lag1, spacing, amplitude2, params, A, rate_row):
+def _build(
+    bits: Bits,
+    los: LineOfSight,
+    lag1: np.ndarray,
+    spacing: float,
+    params: np.ndarray,
+    A: np.ndarray,
+    rate_row: int,
+) -> None:
     """Rows of range (0) and rate (rate_row) of each bit, and the parameters of h."""
     accel = los.force_e
     for b in range(bits.channel.size):
@@ -241,7 +260,7 @@ def _build(bits, los, lag1, spacing, amplitude2, params, A, rate_row):
 
 
 @kernel
-def _phase_rows(channel, dt, phase_start, A):
+def _phase_rows(channel: np.ndarray, dt: np.ndarray, phase_start: int, A: np.ndarray) -> None:
     """Row 1: the carrier-phase error at t_mid; it moves like the range, without its level."""
     for b in range(channel.size):
         A[b, 1, 3:6] = A[b, 0, 3:6]
@@ -252,7 +271,15 @@ def _phase_rows(channel, dt, phase_start, A):
 
 
 @kernel
-def _z_differential(iq, channel, half_s, amplitude2, clock_sf, z, R):
+def _z_differential(
+    iq: np.ndarray,
+    channel: np.ndarray,
+    half_s: np.ndarray,
+    amplitude2: np.ndarray,
+    clock_sf: float,
+    z: np.ndarray,
+    R: np.ndarray,
+) -> None:
     for b in range(channel.size):
         a2 = amplitude2[channel[b]]
         first, second = iq[b, 0], iq[b, 1]
@@ -270,7 +297,14 @@ def _z_differential(iq, channel, half_s, amplitude2, clock_sf, z, R):
 
 
 @kernel
-def _z_coherent(iq, channel, data, amplitude2, z, R):
+def _z_coherent(
+    iq: np.ndarray,
+    channel: np.ndarray,
+    data: np.ndarray,
+    amplitude2: np.ndarray,
+    z: np.ndarray,
+    R: np.ndarray,
+) -> None:
     for b in range(channel.size):
         a2 = amplitude2[channel[b]]
         first, second = iq[b, 0], iq[b, 1]
@@ -286,7 +320,7 @@ def _z_coherent(iq, channel, data, amplitude2, z, R):
 
 
 @kernel
-def _h_differential(y, params, z):
+def _h_differential(y: np.ndarray, params: np.ndarray, z: np.ndarray) -> None:
     for b in range(y.shape[0]):
         lag1, offset, half, spacing = params[b]
         for k in range(y.shape[1]):
@@ -301,7 +335,7 @@ def _h_differential(y, params, z):
 
 
 @kernel
-def _h_coherent(y, params, z):
+def _h_coherent(y: np.ndarray, params: np.ndarray, z: np.ndarray) -> None:
     for b in range(y.shape[0]):
         lag1, offset, half, spacing = params[b]
         for k in range(y.shape[1]):
@@ -317,7 +351,7 @@ def _h_coherent(y, params, z):
 
 
 @kernel
-def _sinc_slope(x):
+def _sinc_slope(x: float) -> float:
     return -x / 3.0 if abs(x) < 1e-4 else (np.cos(x) - np.sin(x) / x) / x
 
 
@@ -326,7 +360,7 @@ def _sinc_slope(x):
 
 
 @kernel
-def _jacobian_differential(y, params, J):
+def _jacobian_differential(y: np.ndarray, params: np.ndarray, J: np.ndarray) -> None:
     for b in range(y.shape[0]):
         lag1, offset, half, spacing = params[b]
         d = (y[b, 0] + offset) / CHIP_M
@@ -346,7 +380,7 @@ def _jacobian_differential(y, params, J):
 
 
 @kernel
-def _jacobian_coherent(y, params, J):
+def _jacobian_coherent(y: np.ndarray, params: np.ndarray, J: np.ndarray) -> None:
     for b in range(y.shape[0]):
         lag1, offset, half, spacing = params[b]
         d = (y[b, 0] + offset) / CHIP_M

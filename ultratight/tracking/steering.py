@@ -58,7 +58,7 @@ def new_steering(n_channel: int, piece_s: float) -> Steering:
 
 
 @kernel
-def antenna(s, lever_arm_b):
+def antenna(s: Steering, lever_arm_b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Antenna position and velocity (3,), (3,) from the INS [m, m/s]."""
     arm = s.C_b_e @ lever_arm_b
     omega_ib_e = s.C_b_e @ (s.last_alpha / s.last_dt[0])
@@ -67,14 +67,14 @@ def antenna(s, lever_arm_b):
 
 
 @kernel
-def predict_now(s, rows, tow_s, lever_arm_b):
+def predict_now(s: Steering, rows: np.ndarray, tow_s: float, lever_arm_b: np.ndarray) -> None:
     """Refresh rho, rho_rate and u for the receiver time of week tow_s [s]."""
     r, v = antenna(s, lever_arm_b)
     predict_channels(rows, tow_s, r, v, s.clock[0], s.clock[1], s.rho, s.rho_rate, s.u)
 
 
 @kernel
-def advance_ins(s, alpha, nu, dt):
+def advance_ins(s: Steering, alpha: np.ndarray, nu: np.ndarray, dt: float) -> None:
     """Strapdown and clock over one IMU interval of raw increments (3,), (3,)."""
     corrected_alpha = alpha - s.gyro_bias * dt
     corrected_nu = nu - s.accel_bias * dt
@@ -92,9 +92,20 @@ def advance_ins(s, alpha, nu, dt):
 
 @kernel
 def steer_epoch(
-    s, t_s, alpha, nu, rows, start_tow_s, code_zero_chips, lever_arm_b,
-    code_phase, chip_rate, carrier_phase, carrier_freq, carrier_rate,
-):  # fmt: skip
+    s: Steering,
+    t_s: np.ndarray,
+    alpha: np.ndarray,
+    nu: np.ndarray,
+    rows: np.ndarray,
+    start_tow_s: float,
+    code_zero_chips: float,
+    lever_arm_b: np.ndarray,
+    code_phase: np.ndarray,
+    chip_rate: np.ndarray,
+    carrier_phase: np.ndarray,
+    carrier_freq: np.ndarray,
+    carrier_rate: np.ndarray,
+) -> None:
     """Command the pieces t_s (m + 1,), taking in the increments (m, 3) one after the other.
 
     Fills the five (m, n_channel) arrays of an `Nco` and the memory of known differences.
@@ -148,7 +159,15 @@ def steer_epoch(
 
 
 @kernel
-def feed_back(s, x, phase_m, rows, tow_s, t_now_s, lever_arm_b):
+def feed_back(
+    s: Steering,
+    x: np.ndarray,
+    phase_m: np.ndarray,
+    rows: np.ndarray,
+    tow_s: float,
+    t_now_s: float,
+    lever_arm_b: np.ndarray,
+) -> None:
     """Correct INS, clock and NCO phases by an estimated error, and the memory with them.
 
     x (>= 17,): r v psi accel_bias gyro_bias cb cd.  phase_m (n_channel,): carrier-phase error in
@@ -181,7 +200,7 @@ def feed_back(s, x, phase_m, rows, tow_s, t_now_s, lever_arm_b):
 
 
 @kernel
-def mean_known(known_t_s, cubic, t_start_s, t_end_s):
+def mean_known(known_t_s: np.ndarray, cubic: np.ndarray, t_start_s: float, t_end_s: float) -> float:
     """Mean over [t_start_s, t_end_s] of piecewise cubics (n_memory, 4)."""
     total = 0.0
     for k in range(known_t_s.shape[0]):

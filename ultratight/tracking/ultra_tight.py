@@ -129,7 +129,7 @@ class UltraTight:
         arm = s.C_b_e @ k.lever_arm_b_m
         los = LineOfSight(self.t_s, s.u, arm, s.C_b_e, s.C_b_e @ s.mean_force[0])
         shared = (self.lag1, self.spacing_chips, self.amplitude2)
-        data = k.bits_of(bits.channel, bits.index)
+        data = k.bits_of(bits.channel, bits.number)
         if data is not None and bits.channel.size:
             self.prompt[bits.channel] = data * bits.iq[:, :, PROMPT].sum(axis=1)
         if not self.coherent:
