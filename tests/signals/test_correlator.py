@@ -77,7 +77,7 @@ def test_taps_follow_their_definition(command, dtype, rate, tolerance):
     expected = by_definition(source, nco, chips(3), offsets)
     assert len(expected) == 19 + 9 + 19
     # a dump that ends with the command is not over before a sample has shown it
-    assert [(r[0], r[1]) for r in expected] == list(zip(taps.channel, taps.index, strict=True))
+    assert [(r[0], r[1]) for r in expected] == list(zip(taps.channel, taps.number, strict=True))
     np.testing.assert_array_equal(taps.t_start_s, [r[2] / FS for r in expected])
     np.testing.assert_array_equal(taps.t_end_s, [r[3] / FS for r in expected])
     iq = np.array([r[4] for r in expected])
@@ -86,6 +86,17 @@ def test_taps_follow_their_definition(command, dtype, rate, tolerance):
     edge = error > 1e-4
     assert edge.sum() <= 1
     assert np.linalg.norm(error[~edge]) < tolerance * np.linalg.norm(iq)
+
+
+@pytest.mark.nojit
+def test_a_few_short_integrations(command):
+    """Small enough for plain Python; 100 chips are 391 samples."""
+    source = noise(1500, if_hz=0.0)
+    nco = command([0.0, 0.0002, 0.000375], 30.3, 0.0, -4321.0, 0.0, 100)
+    taps = SampleCorrelator(source, chips(1), OFFSETS)(nco)
+    expected = by_definition(source, nco, chips(1), OFFSETS)
+    assert taps.number.tolist() == [1, 2, 3] == [r[1] for r in expected]
+    np.testing.assert_allclose(taps.iq, [r[4] for r in expected], atol=1e-5)
 
 
 def test_phases_at_both_ends_are_the_commands(command):
@@ -102,7 +113,7 @@ def test_phases_at_both_ends_are_the_commands(command):
         expected = 1e6 + (-4321.0 + 0.5 * 525.0 * t) * t
         np.testing.assert_allclose(carrier, expected, rtol=0, atol=1e-8)
     # the first sample at or past a multiple: less than one sample of 0.2558 chips beyond it
-    past = taps.code_start_chips - 1023 * taps.index
+    past = taps.code_start_chips - 1023 * taps.number
     assert np.all((past >= 0) & (past < 0.2558))
     np.testing.assert_array_equal(taps.t_start_s[1:], taps.t_end_s[:-1])
 
@@ -111,7 +122,7 @@ def test_commensurate_rates_give_exactly_4000_samples(command):
     """4 MHz and no Doppler: every bound is a tie between a sample and a code period."""
     nco = command(np.arange(5) * 5e-3)
     taps = SampleCorrelator(noise(80_000), chips(1), OFFSETS)(nco)
-    np.testing.assert_array_equal(taps.index, np.arange(19))
+    np.testing.assert_array_equal(taps.number, np.arange(19))
     np.testing.assert_array_equal(np.rint(taps.t_start_s * FS), 4000 * np.arange(19))
     np.testing.assert_array_equal(np.rint((taps.t_end_s - taps.t_start_s) * FS), 4000)
 
@@ -176,7 +187,7 @@ def test_frequency_loss_is_sinc(received, command, error_hz):
     """20 ms at 12.5 Hz (0.91 dB), 25 Hz (3.92 dB), 40 Hz (12.6 dB): Kaplan & Hegarty ch. 8."""
     nco = command([0.0, 0.05], 2000.25, 0.0, 30.0 - error_hz, dump_chips=20_460)
     taps = SampleCorrelator(received, chips(1), OFFSETS)(nco)
-    assert len(taps.index) == 1
+    assert len(taps.number) == 1
     expected = np.sqrt(2 * 10**4.5 * 0.02) * np.sinc(error_hz * 0.02)
     assert abs(taps.iq[0, 1]) == pytest.approx(expected, rel=2e-3)
 
@@ -255,7 +266,7 @@ def test_a_small_step_back_never_repeats_an_integration(command):
             nco._replace(code_phase_chips=moved)
         )
         # at the border the index had just changed (2 chips ago): -3 chips lead back before it
-        np.testing.assert_array_equal(np.diff(taps.index), 1)
+        np.testing.assert_array_equal(np.diff(taps.number), 1)
         np.testing.assert_array_equal(taps.t_start_s[1:], taps.t_end_s[:-1])
         length = np.rint((taps.t_end_s - taps.t_start_s) * FS)
         assert sorted(length - 4000)[0 if step > 0 else -1] == pytest.approx(

@@ -81,6 +81,18 @@ def test_samples_follow_their_definition(if_hz):
     assert np.linalg.norm(error[~edge]) < 1e-6 * np.linalg.norm(expected)
 
 
+@pytest.mark.nojit
+def test_a_few_samples():
+    """Small enough for plain Python; the border between two cells is among them."""
+    state = truth([-4321.0])
+    arguments = {"if_hz": 1e5, "noise": False}
+    fine = SyntheticIf(state, chips(1), FS, 1, sample_format="float32", **arguments)
+    expected = by_definition(state, chips(1), np.arange(1000, 1050), 1e5)
+    np.testing.assert_allclose(as_complex(fine.samples(1000, 1050)), expected, atol=1e-5)
+    coarse = SyntheticIf(state, chips(1), FS, 1, **arguments)
+    np.testing.assert_allclose(as_complex(coarse.samples(1000, 1050)), 24 * expected, atol=0.71)
+
+
 def test_no_stair_of_frequency_at_a_10_g_jump():
     """Frequency held over a cell of 256 us would err by 525 (256e-6)^2 / 2 = 1.7e-5 cycles, and
     its chord by an eighth of 525 (256e-6)^2, 4e-6; the module claims 6e-7 and float32."""
