@@ -250,10 +250,10 @@ def test_bits_do_not_depend_on_source_block_or_threads(command, monkeypatch):
 def test_first_partial_integration_is_dropped(command):
     source = noise(80_000)
     part = SampleCorrelator(source, chips(1), OFFSETS)(command([0.0, 0.005], 1023 * 7 + 0.3))
-    assert part.index.tolist() == [8, 9, 10, 11]
+    assert part.number.tolist() == [8, 9, 10, 11]
     # within a sample (0.2558 chips) of the multiple the integration is whole
     whole = SampleCorrelator(source, chips(1), OFFSETS)(command([0.0, 0.005], 1023 * 7 + 0.2))
-    assert whole.index.tolist() == [7, 8, 9, 10]  # 11 ends at 4.9998 ms: with the sample at 5 ms
+    assert whole.number.tolist() == [7, 8, 9, 10]  # 11 ends at 4.9998 ms: with the sample at 5 ms
     assert whole.t_start_s[0] == 0.0
 
 
@@ -291,9 +291,9 @@ def test_change_of_dump_length_drops_the_open_sum(command):
     nco = command(np.arange(9) * 2.5e-3, 100.0)
     correlate = SampleCorrelator(noise(80_000), chips(1), OFFSETS)
     first = correlate(split(nco, 0, 4))
-    assert first.index.tolist() == list(range(1, 10))
+    assert first.number.tolist() == list(range(1, 10))
     second = correlate(split(nco, 4, 8)._replace(dump_chips=np.array([2046])))
-    assert second.index.tolist() == [6, 7, 8, 9]  # chips 12276 to 20460 of 20560
+    assert second.number.tolist() == [6, 7, 8, 9]  # chips 12276 to 20460 of 20560
     assert second.t_start_s[0] == pytest.approx((6 * 2046 - 100) / CA_CHIP_RATE_HZ, abs=1 / FS)
 
 
@@ -307,10 +307,10 @@ def test_invalid_channels_and_gaps_drop_the_open_sum(command):
     middle = correlate(broken)
     assert set(middle.channel) == {0}
     last = correlate(split(nco, 4, 6))
-    assert last.index[last.channel == 0].tolist() == [10, 11, 12, 13, 14]
-    assert last.index[last.channel == 1].tolist() == [11, 12, 13, 14]
+    assert last.number[last.channel == 0].tolist() == [10, 11, 12, 13, 14]
+    assert last.number[last.channel == 1].tolist() == [11, 12, 13, 14]
     gap = correlate(split(nco, 7, 8))  # 17.5 ms: chip 18002.5, integration 17 is under way
-    assert gap.index[gap.channel == 0].tolist() == [18, 19]
+    assert gap.number[gap.channel == 0].tolist() == [18, 19]
 
 
 def test_bad_commands_are_refused(command):
