@@ -1,0 +1,189 @@
+"""Models D and C against the closed-form correlator, finite differences and noise statistics."""
+
+import numpy as np
+import pytest
+
+from signals.codes import GPS_L1CA
+from signals.constants import C_MPS, CA_CHIP_RATE_HZ, GPS_L1_HZ
+from signals.correlator_model import ModelCorrelator
+from signals.nco import Nco
+from signals.propagation import SignalState
+from ultratight.tracking.measurements import (
+    Bits,
+    CoherentModel,
+    DifferentialModel,
+    HalfBits,
+    LineOfSight,
+    coherent,
+    differential,
+)
+from ultratight.tracking.steering import WAVELENGTH_M, new_steering
+
+PRN, SPACING, CN0_DBHZ, HALF_S = 17, 0.25, 35.0, 0.01
+LAG1 = float(GPS_L1CA.autocorrelation(PRN)[1])
+A2 = 2.0 * 10 ** (CN0_DBHZ / 10.0) * HALF_S
+LOS = LineOfSight(0.02, np.array([[1.0, 0.0, 0.0]]), np.zeros(3), np.eye(3), np.zeros(3))
+
+
+def taps(dr, dv, p=0.0, n_bit=1, noise=False, seed=1):
+    """Half-bit taps of a satellite dr farther and receding dv faster than the replica.
+
+    dr and the carrier-phase error p [m] hold in the middle of the first bit; the replica runs at
+    the nominal rates, so that the errors are the truth's.
+    """
+    t = np.arange(0.0, 0.02 * n_bit + 0.0051, 0.005)  # the last dump must end inside
+    error = dr + dv * (t[:-1] - 0.01)
+    phase = p + dv * (t[:-1] - 0.01)
+    code, carrier = np.zeros((1, t.size - 1, 4)), np.zeros((1, t.size - 1, 4))
+    code[0, :, 0] = CA_CHIP_RATE_HZ * (t[:-1] - error / C_MPS)
+    code[0, :, 1] = CA_CHIP_RATE_HZ * (1.0 - dv / C_MPS)
+    carrier[0, :, 0] = -phase * GPS_L1_HZ / C_MPS
+    carrier[0, :, 1] = -dv * GPS_L1_HZ / C_MPS
+    n = t.size - 1
+    state = SignalState(
+        t, code, carrier, np.full((1, n), CN0_DBHZ), np.ones((1, n), bool),
+        np.ones((1, n_bit + 4), np.int8), -2,
+    )  # fmt: skip
+    nco = Nco(
+        t, (CA_CHIP_RATE_HZ * t[:-1])[:, None], np.full((n, 1), CA_CHIP_RATE_HZ),
+        np.zeros((n, 1)), np.zeros((n, 1)), np.zeros((n, 1)), np.array([10_230]), np.array([True]),
+    )  # fmt: skip
+    correlator = ModelCorrelator(
+        state, GPS_L1CA.chips(PRN)[None], np.array([PRN]), np.array([-SPACING, 0.0, SPACING]),
+        seed, noise=noise,
+    )  # fmt: skip
+    return correlator(nco)
+
+
+def bits(found):
+    """Pair them, with a memory that knows of no difference."""
+    steering = new_steering(1, 0.005)
+    return HalfBits(1, 3).pair(found, steering)
+
+
+def measured(dr, dv, p=0.0):
+    paired = bits(taps(dr, dv, p))
+    assert paired.number.tolist() == [0]
+    a2, lag1 = np.array([A2]), np.array([LAG1])
+    d = differential(paired, LOS, 17, lag1, SPACING, a2, 0.0)
+    c = coherent(paired, LOS, 18, 17, np.ones(1), lag1, SPACING, a2)
+    return d, c
+
+
+@pytest.mark.parametrize(
+    ("dr", "dv", "p"),
+    [(0.0, 0.0, 0.0), (10.0, 1.0, 0.01), (-25.0, -4.0, -0.05), (60.0, 7.0, 0.08), (3.0, -9.0, 0.0)],
+)
+def test_models_predict_the_taps_of_the_correlator(dr, dv, p):
+    """h at the true error = z without noise.
+
+    What h leaves out: the code error moves by dv x 20 ms during the bit (3e-4 chips at 9 m/s).
+    """
+    d, c = measured(dr, dv, p)
+    tolerance = 2e-4 + 2e-3 * abs(dv) / 9.0
+    np.testing.assert_allclose(d.z[0], d.h(np.array([[[dr, dv]]]))[0, 0], atol=tolerance)
+    np.testing.assert_allclose(c.z[0], c.h(np.array([[[dr, p, dv]]]))[0, 0], atol=tolerance)
+
+
+def test_signs_farther_is_late_receding_is_clockwise():
+    """Issue facts: 10 m farther -> L > E; 1 m/s receding -> arg(P2 conj P1) = -0.33 rad."""
+    d, c = measured(10.0, 1.0, 0.01)
+    turn = np.angle(d.z[0, 0] + 1j * d.z[0, 1])
+    assert turn == pytest.approx(2.0 * np.pi * HALF_S / WAVELENGTH_M, rel=1e-3)
+    assert d.z[0, 2] > 0.0
+    assert c.z[0, 1] > 0.0
+    behind, _ = measured(-10.0, 1.0)
+    assert behind.z[0, 2] < 0.0
+
+
+@pytest.mark.parametrize("kind", [DifferentialModel, CoherentModel])
+def test_jacobians_are_finite_differences_with_the_prompt_peak_held(kind):
+    """Away from kinks, with lag1 = 1 (flat prompt) in the I and Q rows, where R(d) is held."""
+    model = kind(np.array([[LAG1, 2.0, HALF_S, SPACING]]))
+    d = 2 if kind is DifferentialModel else 3
+    y = np.array([[5.0, 3.0]]) if d == 2 else np.array([[5.0, 0.03, 3.0]])
+    z, J = model.jacobian(y)
+    np.testing.assert_array_equal(z, model(y[:, None])[:, 0])
+    for k in range(1, d):
+        step = np.zeros(d)
+        step[k] = 1e-5
+        slope = (model((y + step)[:, None]) - model((y - step)[:, None]))[0, 0] / 2e-5
+        np.testing.assert_allclose(J[0, :, k], slope, rtol=1e-6, atol=1e-8)
+    # range: the rows of I and Q hold R(d); S is early-late times the prompt that is held
+    assert J[0, 0, 0] == 0.0
+    assert J[0, 1, 0] == 0.0
+    chip = C_MPS / CA_CHIP_RATE_HZ
+    delay = 7.0 / chip
+    loss = np.sinc(3.0 / WAVELENGTH_M * HALF_S) ** 2
+    expected = loss * (1.0 - delay * (1.0 - LAG1)) * 2.0 * (1.0 - LAG1) / chip
+    assert J[0, 2, 0] == pytest.approx(expected, rel=1e-9)
+
+
+def test_noise_of_the_measurements_is_that_of_R():
+    """Variance of z over 4000 bits against R, within 4 standard errors of a variance."""
+    n = 4000
+    paired = bits(taps(0.0, 0.0, n_bit=n, noise=True))
+    same = Bits(*paired)
+    a2, lag1 = np.array([A2]), np.array([LAG1])
+    d = differential(same, LOS, 17, lag1, SPACING, a2, 0.0)
+    c = coherent(same, LOS, 18, 17, np.ones(same.channel.size), lag1, SPACING, a2)
+    assert same.channel.size >= n - 2
+    # S has noise (L - E): variance 1 - R(2 spacing) per component instead of 1/2
+    share = (1.0 - (1.0 - 2.0 * SPACING * (1.0 - LAG1))) / 0.5
+    for found, scale in ((d, (1.0, 1.0, share)), (c, (1.0, 1.0, share))):
+        variance = found.z.var(axis=0)
+        expected = np.diag(found.R[0]) * scale
+        # S: the product of two noises adds kurtosis, hence 6 in place of 4
+        np.testing.assert_allclose(variance / expected, 1.0, atol=6.0 * np.sqrt(2.0 / n))
+
+
+def test_oscillator_noise_enters_the_differential_phase():
+    """White frequency noise turns one half against the other: (2 pi / lambda)^2 S_f 2 T_h / 3."""
+    paired = bits(taps(0.0, 0.0))
+    a2, lag1 = np.array([A2]), np.array([LAG1])
+    quiet = differential(paired, LOS, 17, lag1, SPACING, a2, 0.0).R[0, 1, 1]
+    noisy = differential(paired, LOS, 17, lag1, SPACING, a2, 4.5e-5).R[0, 1, 1]
+    rng = np.random.default_rng(2)
+    steps = rng.standard_normal((20_000, 200)) * np.sqrt(4.5e-5 * 1e-4)
+    path = np.cumsum(steps, axis=1)
+    turn = 2.0 * np.pi / WAVELENGTH_M * (path[:, 100:].mean(axis=1) - path[:, :100].mean(axis=1))
+    assert noisy - quiet == pytest.approx(turn.var(), rel=4.0 * np.sqrt(2.0 / 20_000) + 0.005)
+
+
+def test_projection_is_the_derivative_of_range_and_rate_at_the_middle_of_the_bit():
+    """A against a finite difference of range(t_mid), with the state carried back to t_mid."""
+    rng = np.random.default_rng(7)
+    C = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+    force_b, arm_b = np.array([98.0, 1.0, -9.0]), np.array([0.5, -0.3, 0.2])
+    u = np.array([0.6, -0.64, 0.48])
+    u /= np.linalg.norm(u)
+    t, t_mid = 3.0, 2.984
+    paired = Bits(
+        np.array([0]), np.array([0]), np.array([t_mid]), np.array([HALF_S]),
+        np.ones((1, 2, 3), complex), np.zeros(1),
+    )  # fmt: skip
+    los = LineOfSight(t, u[None], C @ arm_b, C, C @ force_b)
+    A = coherent(paired, los, 18, 17, np.ones(1), np.array([LAG1]), SPACING, np.array([A2])).A[0]
+    back = t_mid - t
+
+    def errors(x):
+        """(range, phase, rate) at t_mid of an error state x at t; constant acceleration error."""
+        psi = x[6:9]
+        accel = np.cross(psi, C @ force_b) - C @ x[9:12]
+        rate = -u @ (x[3:6] + back * accel) + x[16]
+        moved = -u @ (back * x[3:6] + 0.5 * back**2 * accel) + back * x[16]
+        level = -u @ (x[:3] + np.cross(psi, C @ arm_b)) + x[15]
+        return np.array([level + moved, x[17] + moved, rate])
+
+    for k in range(18):
+        x = np.zeros(18)
+        x[k] = 1.0
+        np.testing.assert_allclose(A[:, k], errors(x), atol=1e-12, err_msg=str(k))
+
+
+def test_a_half_that_lost_its_partner_is_dropped():
+    found = taps(0.0, 0.0, n_bit=3)
+    keep = np.ones(found.channel.size, bool)
+    keep[1] = False  # second half of bit 0
+    pruned = type(found)(*(a[keep] for a in found))
+    assert bits(pruned).number.tolist() == [1, 2]
