@@ -71,7 +71,8 @@ class ModelCorrelator:
     Raises
     ------
     ValueError : shapes that disagree, symbols that do not cover the truth; when called, a command
-        outside the truth, integrations that are not whole code periods.
+        outside the truth, a chip rate that is not positive, integrations that are not whole code
+        periods.
     """
 
     def __init__(
@@ -123,12 +124,14 @@ class ModelCorrelator:
         if not abs(first_s - self._end_s) <= _TIME_TOLERANCE_S:
             self._open[0][:, _KNOWN] = 0
         self._end_s = end_s
-        whole, real, iq = _correlate(
+        sound, whole, real, iq = _correlate(
             tuple(nco), self._truth, self._data, self._replicas, self._noise, self._open,
             self._sample_s,
         )  # fmt: skip
-        channel, index = whole
-        return Taps(channel, index, real[0], real[1], iq, *real[2:])
+        if not sound:
+            raise ValueError(_what_is_wrong(nco))
+        channel, number = whole
+        return Taps(channel, number, real[0], real[1], iq, *real[2:])
 
     def _check(self, nco: Nco, first_s: float, end_s: float) -> None:
         low, high = self._t_s
@@ -137,6 +140,10 @@ class ModelCorrelator:
                 f"nco.t_s runs from {first_s} to {end_s} s: expected inside the truth, "
                 f"{low} to {high} s"
             )
+        shape = (nco.t_s.size - 1, len(self._truth))
+        for array in nco[1:6]:
+            if array.shape != shape:
+                raise ValueError(f"a piece of nco is {array.shape}: expected {shape}")
         # looked at only when they change: this runs at every epoch
         checked = nco.dump_chips.tobytes() + nco.valid.tobytes()
         if checked != self._checked:
@@ -150,6 +157,15 @@ class ModelCorrelator:
                     f"multiples of {self._length} where nco.valid, also ({n_channel},), is set"
                 )
             self._checked = checked
+
+
+def _what_is_wrong(nco: Nco) -> str:
+    """Say which number of a valid channel cannot be run."""
+    for name in Nco._fields[1:6]:
+        values = getattr(nco, name)[:, nco.valid]
+        if not np.isfinite(values).all():
+            return f"nco.{name} of a valid channel is {values[~np.isfinite(values)][0]}: not finite"
+    return f"nco.chip_rate_hz is {nco.chip_rate_hz[:, nco.valid].min()}: expected > 0"
 
 
 def _check_symbols(state: SignalState, symbol_chips: int) -> None:
@@ -220,16 +236,21 @@ _CHIP_TOLERANCE = 1e-6  # in continuous time a code phase this little past a mul
 def _correlate(
     replica: Any, truth: np.ndarray, data: Any, replicas: Any, noise: Any, state: Any,
     sample_s: float,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
-    """All channels over one command -> channel and index, the other rows of `Taps`, iq."""
-    most = _most_dumps(replica)
+) -> tuple[bool, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+    """All channels over one command -> channel and number, the other rows of `Taps`, iq.
+
+    False first, and nothing done, where the command holds a number that cannot be run.
+    """
+    sound, most = _most_dumps(replica)
     n_tap = replicas[0].size
     whole = np.empty((2, most), np.int64)
     real = np.empty((7, most))
     iq = np.empty((most, n_tap), np.complex128)
     rows = (whole, real, iq, np.zeros(2 * n_tap))
-    n = _all_channels(replica, truth, data, replicas, noise, state, sample_s, rows)
-    return whole[:, :n], real[:, :n], iq[:n]
+    n = 0
+    if sound:
+        n = _all_channels(replica, truth, data, replicas, noise, state, sample_s, rows)
+    return sound, whole[:, :n], real[:, :n], iq[:n]
 
 
 @borrowing
@@ -257,15 +278,18 @@ def _all_channels(
 
 
 @borrowing
-def _most_dumps(replica: Any) -> int:
-    """Bound on the integrations that can end in a command."""
-    t_s, _, chip_rate, _, _, _, dump_chips, valid = replica
+def _most_dumps(replica: Any) -> tuple[bool, int]:
+    """Are chip rates positive and all numbers finite?  Bound on the integrations that can end."""
+    t_s, code, chip_rate, carrier, freq, rate, dump_chips, valid = replica
     most = 0.0
     for i in range(valid.size):
         if valid[i]:
             for p in range(t_s.size - 1):
-                most += 2.0 + abs(chip_rate[p, i]) * (t_s[p + 1] - t_s[p]) / dump_chips[i]
-    return int(most)
+                total = code[p, i] + chip_rate[p, i] + carrier[p, i] + freq[p, i] + rate[p, i]
+                if not (math.isfinite(total) and chip_rate[p, i] > 0.0):
+                    return False, 0
+                most += 2.0 + chip_rate[p, i] * (t_s[p + 1] - t_s[p]) / dump_chips[i]
+    return True, int(most)
 
 
 @borrowing

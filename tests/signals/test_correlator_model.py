@@ -89,7 +89,7 @@ def test_constant_errors_give_the_sinc(
         * np.exp(2j * np.pi * (error_cycles + frequency_hz * middle))[:, None]
         * own_correlation(prn, error_chips + OFFSETS)
     )
-    assert taps.index.tolist() == [0, 1, 2]
+    assert taps.number.tolist() == [0, 1, 2]
     np.testing.assert_allclose(taps.iq, expected, atol=QUADRATURE * amplitude)
 
 
@@ -135,7 +135,7 @@ def test_data_symbols_and_outages_fall_where_the_truth_has_them(
     nco = command([0.0, 0.05, 0.1], chips=-3000.0, doppler_hz=910.0, dump_chips=20460)
     nco.code_phase_chips[:] += 0.2
     taps = correlator(state, [7])(nco)
-    assert taps.index.tolist() == [0, 1, 2, 3]
+    assert taps.number.tolist() == [0, 1, 2, 3]
     amplitude = np.sqrt(2 * 10**4.5 * 0.02)
     for k in range(4):
         expected = brute_force(state, nco, 7, taps, k, n)
@@ -163,13 +163,13 @@ def test_bounds_do_not_depend_on_how_commands_are_cut(truth: Truth, command: Com
     stepwise = correlator(state, [7, 8], noise=True)
     parts = [stepwise(command([a, b], **options)) for a, b in pairwise(t_s)]
     together = concatenate(parts)
-    order = np.lexsort((together.index, together.channel))
+    order = np.lexsort((together.number, together.channel))
     for name, a, b in zip(Taps._fields, at_once, together, strict=True):
         np.testing.assert_allclose(b[order], a, rtol=0, atol=1e-9, err_msg=name)
     first = at_once.channel == 0
-    assert at_once.index[first].tolist() == list(range(1, 50))
+    assert at_once.number[first].tolist() == list(range(1, 50))
     np.testing.assert_allclose(
-        at_once.code_start_chips, at_once.index * 2046 * np.where(first, 1, 10)
+        at_once.code_start_chips, at_once.number * 2046 * np.where(first, 1, 10)
     )
     np.testing.assert_allclose(at_once.code_end_chips - at_once.code_start_chips,
                                np.where(first, 2046, 20460))  # fmt: skip
@@ -189,7 +189,7 @@ def test_small_steps_of_the_code_neither_repeat_nor_skip(truth: Truth, command: 
     for k in range(30):
         step = 0.4 if k % 2 else -0.4  # the command's own bounds are the integrations' bounds
         taps = model(command([k * 1e-3, (k + 1) * 1e-3], chips=step))
-        indices += taps.index.tolist()
+        indices += taps.number.tolist()
         assert np.all(np.abs(taps.t_end_s - taps.t_start_s - 1e-3) < 1e-6)
     # 28, not 29: the replica starts 0.4 chip early, and the last integration is still open
     assert indices == list(range(indices[0], indices[0] + len(indices)))
@@ -202,7 +202,7 @@ def test_what_drops_the_open_sums(truth: Truth, command: Command, cause: str) ->
     state = truth(duration_s=0.1)
     model = correlator(state, [7])
     before = model(command([0.0, 0.03], chips=5.0, dump_chips=20460))
-    assert before.index.tolist() == []  # 5 chips late for the multiple at 0, none ended since
+    assert before.number.tolist() == []  # 5 chips late for the multiple at 0, none ended since
     disturbed = command([0.03, 0.035], chips=5.0, dump_chips=20460)
     after = command([0.035, 0.1], chips=5.0, dump_chips=20460)
     if cause == "valid":
@@ -215,9 +215,9 @@ def test_what_drops_the_open_sums(truth: Truth, command: Command, cause: str) ->
         disturbed.code_phase_chips[:] += 300_000.0
     taps = concatenate(([] if disturbed is None else [model(disturbed)]) + [model(after)])
     np.testing.assert_allclose(taps.t_end_s - taps.t_start_s, 0.02, atol=1e-6)
-    assert taps.index.tolist() == [2, 3, 4]
+    assert taps.number.tolist() == [2, 3, 4]
     undisturbed = correlator(state, [7])(command([0.0, 0.1], chips=5.0, dump_chips=20460))
-    assert undisturbed.index.tolist() == [1, 2, 3, 4]
+    assert undisturbed.number.tolist() == [1, 2, 3, 4]
 
 
 def test_bounds_on_samples(truth: Truth, command: Command) -> None:
@@ -305,5 +305,14 @@ def test_refusals(truth: Truth, command: Command) -> None:
         model(command([0.05, 0.11]))
     with pytest.raises(ValueError, match="multiples of 1023"):
         model(command([0.0, 0.01], dump_chips=1000))
-    with pytest.raises(ValueError, match=r"expected \(1,\)"):
+    with pytest.raises(ValueError, match=r"expected \(1, 1\)"):
         model(command([0.0, 0.01], chips=[0.0, 0.0]))
+    spoilt = command([0.0, 0.01])
+    spoilt.chip_rate_hz[0, 0] = -1.0
+    with pytest.raises(ValueError, match=r"chip_rate_hz is -1\.0: expected > 0"):
+        model(spoilt)
+    spoilt.carrier_phase_cycles[0, 0] = np.nan
+    with pytest.raises(ValueError, match="carrier_phase_cycles of a valid channel is nan"):
+        model(spoilt)
+    spoilt.valid[0] = False
+    assert len(model(spoilt).number) == 0
