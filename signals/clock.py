@@ -126,7 +126,7 @@ def simulate(
     n = len(t_s) - 1
     pull, pull_at_nodes = _pulling(g_sensitivity_ppb_per_g, specific_force_x, n)
     s_f, s_g = oscillator.bias_psd, oscillator.drift_psd
-    normals = rng.standard_normal((3, n))
+    normals = rng.standard_normal((n, 3)).T  # so that a longer run begins like a shorter one
     walk = np.sqrt(s_g * h) * normals[0]
     drift = drift_mps + np.concatenate(([0.0], np.cumsum(walk)))
     # given the drift at both ends, the bias over the interval is Gaussian around the trapezoid

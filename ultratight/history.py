@@ -24,7 +24,7 @@ class History:
     def __init__(self, closure: Any, n_epoch: int) -> None:
         self.every = max(1, round(ROW_S / closure.epoch_s))
         n = n_epoch // self.every
-        self.t_s = np.full(n, np.nan)
+        self.t_s = (np.arange(n) + 1) * self.every * closure.epoch_s
         self.fields = closure.fields()
         self.rows = {
             name: np.full((n, *shape), np.nan) for name, (shape, _, _, _) in self.fields.items()
@@ -33,8 +33,8 @@ class History:
         self.nco_freq: np.ndarray | None = None
         self.nco_code: np.ndarray | None = None
 
-    def record(self, k: int, t_s: float, closure: Any, nco: Nco, taps: Taps) -> None:
-        """Keep epoch k, which ended at t_s."""
+    def record(self, k: int, closure: Any, nco: Nco, taps: Taps) -> None:
+        """Keep epoch k; rows of epochs that are never reached stay NaN."""
         if taps.channel.size:
             self.taps.append(taps)
         if (k + 1) % self.every:
@@ -43,7 +43,6 @@ class History:
         if self.nco_freq is None or self.nco_code is None:
             shape = (self.t_s.size, nco.valid.size)
             self.nco_freq, self.nco_code = np.full(shape, np.nan), np.full(shape, np.nan)
-        self.t_s[row] = t_s
         self.nco_freq[row] = nco.carrier_freq_hz[-1]
         self.nco_code[row] = nco.code_phase_chips[-1]
         closure.write(self.rows, row)
@@ -83,12 +82,17 @@ def truth_variables(world: World, t_s: np.ndarray) -> dict[str, Variable]:
     clock_rate = np.interp(t_s, world.t_s, world.clock_rate_mps)
     r, v = world.antenna(t_s)
     n = world.prn.size
+    imu, sensors = world.imu
     rho, rate, u = np.empty((t_s.size, n)), np.empty((t_s.size, n)), np.empty((t_s.size, n, 3))
     for k in range(t_s.size):
         predict_channels(
             world.elements, world.scenario.start_tow_s + t_s[k], r[k], v[k],
             clock_m[k], clock_rate[k], rho[k], rate[k], u[k],
         )  # fmt: skip
+    accel_bias, gyro_bias = (
+        np.stack([np.interp(t_s, imu.t_s, b) for b in sensors[name].T], axis=1)
+        for name in ("accel_bias", "gyro_bias")
+    )
     elevation, azimuth = elevation_azimuth(r[:, None, :], u)
     vector, channel = (EPOCH, "xyz"), (EPOCH, "channel")
     return {
@@ -96,6 +100,8 @@ def truth_variables(world: World, t_s: np.ndarray) -> dict[str, Variable]:
         "v_eb_e_true": Variable(motion.v_eb_e, vector, "m/s", "true IMU velocity, ECEF"),
         "C_b_e_true": Variable(motion.C_b_e, (EPOCH, "row", "column"), "1", "true attitude"),
         "speed_true": Variable(world.trajectory.speed(t_true), (EPOCH,), "m/s", "true speed"),
+        "accel_bias_true": Variable(accel_bias, (EPOCH, "axis"), "m/s2", "true bias"),
+        "gyro_bias_true": Variable(gyro_bias, (EPOCH, "axis"), "rad/s", "true bias"),
         "clock_m_true": Variable(clock_m, (EPOCH,), "m", "true receiver clock bias"),
         "clock_rate_true": Variable(clock_rate, (EPOCH,), "m/s", "true receiver clock drift"),
         "pseudorange_true": Variable(rho, channel, "m", "true pseudorange"),

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from scipy.stats import chi2
 
+from ultratight.ins.attitude import vector_from_rotation
 from ultratight.results import Run
 
 CONVERGED_MPS = 0.5
@@ -14,6 +16,8 @@ CONVERGED_MPS = 0.5
 END_S = 2.5
 SETTLED_S = 5.0
 AFTER_S = 10.0
+VELOCITY = slice(3, 6)
+"""Where the velocity stands in the covariance of a run"""
 
 
 def velocity_error(run: Run) -> np.ndarray:
@@ -45,13 +49,39 @@ def nees_velocity(run: Run, mask: np.ndarray) -> float | None:
     It is relative to the expectation 3, not to the median of chi-square (2.37), hence 0.79 for a
     filter that is consistent.
     """
-    if "cov_velocity" not in run or not mask.any():
+    if "covariance" not in run or not mask.any():
         return None
-    cov = run["cov_velocity"][mask]
+    cov = run["covariance"][mask][:, VELOCITY, VELOCITY]
     good = np.isfinite(cov).all(axis=(1, 2))
     if not good.any():
         return None
     return float(np.median(nees(velocity_error(run)[mask][good], cov[good]) / 3.0))
+
+
+def error_state(run: Run, rows: np.ndarray) -> np.ndarray:
+    """True minus estimated state (n, 17) of the given epochs, in the order of the covariance."""
+    turn = run["C_b_e_true"][rows] @ np.swapaxes(run["C_b_e"][rows], 1, 2)
+    psi = np.stack([vector_from_rotation(C) for C in turn])
+    return np.column_stack(
+        [
+            position_error(run)[rows],
+            velocity_error(run)[rows],
+            psi,
+            (run["accel_bias_true"] - run["accel_bias"])[rows],
+            (run["gyro_bias_true"] - run["gyro_bias"])[rows],
+            (run["clock_m_true"] - run["clock_m"])[rows],
+            (run["clock_rate_true"] - run["clock_rate"])[rows],
+        ]
+    )
+
+
+def nees_17(run: Run, times_s: Sequence[float]) -> np.ndarray:
+    """NEES of all 17 states at the epochs nearest to the given times.
+
+    It has the expectation 17 only where the IMU obeys the filter's model (grade "matched").
+    """
+    rows = np.abs(run.t_s[:, None] - np.asarray(times_s)).argmin(axis=0)
+    return nees(error_state(run, rows), run["covariance"][rows])
 
 
 def nis_per_measurement(run: Run, mask: np.ndarray) -> float | None:

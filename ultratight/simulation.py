@@ -32,6 +32,8 @@ class Closure(Protocol):
 
     events: list[tuple[float, int, str, str]]
     """(t_s, channel or -1, kind, reason)"""
+    diverged: bool
+    """There is nothing left to steer with: the run ends here"""
 
     @property
     def epoch_s(self) -> float:
@@ -132,7 +134,9 @@ def fly(
         )
         taps = correlator(nco)
         closure.step(taps)
-        history.record(k, t_end, closure, nco, taps)
+        if closure.diverged:
+            break
+        history.record(k, closure, nco, taps)
         done = upto
         if progress is not None and k % report == 0:
             progress((k + 1) / n_epoch)

@@ -38,6 +38,7 @@ from ultratight.tracking.knows import Knows
 
 NODE_S = 0.005
 """Spacing of the nodes of the truth [s]"""
+N_NODE_PAST = 4
 FEWEST_SATELLITES = 4
 
 
@@ -81,7 +82,8 @@ class World:
             ],
             duration_s=scenario.duration_s,
         )
-        n_node = int(np.ceil(scenario.duration_s / NODE_S - 1e-9)) + 1
+        # a little past the end, so that a longer run begins with the same bits
+        n_node = int(np.ceil(scenario.duration_s / NODE_S - 1e-9)) + 1 + N_NODE_PAST
         self.t_s = np.arange(n_node) * NODE_S
         self.lever_arm_b_m = np.array(scenario.imu.lever_arm_b_m)
         self._start_clock()

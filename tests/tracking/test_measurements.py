@@ -8,11 +8,10 @@ from signals.constants import C_MPS, CA_CHIP_RATE_HZ, GPS_L1_HZ
 from signals.correlator_model import ModelCorrelator
 from signals.nco import Nco
 from signals.propagation import SignalState
+from ultratight.tracking.half_bits import Bits, HalfBits
 from ultratight.tracking.measurements import (
-    Bits,
     CoherentModel,
     DifferentialModel,
-    HalfBits,
     LineOfSight,
     coherent,
     differential,

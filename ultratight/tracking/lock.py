@@ -59,6 +59,11 @@ class LockMonitor:
                 events.append((t_s, int(i), "lock regained", f"lock indicator {value:.2f}"))
         return events
 
+    def lose_all(self, t_s: float) -> None:
+        """The whole receiver is lost."""
+        self.locked[:] = False
+        self.first_lost_s = np.where(np.isnan(self.first_lost_s), t_s, self.first_lost_s)
+
     def watch_quadrature(self, update: Update, measurement: Measurement) -> None:
         """Remember the normalised quadrature innovations of the epoch (coherent model)."""
         k = measurement.z.shape[1]

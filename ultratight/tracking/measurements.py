@@ -29,51 +29,11 @@ import numpy as np
 
 from signals.compiled import kernel
 from signals.constants import C_MPS, CA_CHIP_RATE_HZ
-from signals.nco import Taps
 from ultratight.filters.gaussian import Measurement
-from ultratight.tracking.steering import WAVELENGTH_M, Steering, mean_known
+from ultratight.tracking.half_bits import EARLY, LATE, PROMPT, Bits
+from ultratight.tracking.steering import WAVELENGTH_M
 
 CHIP_M = C_MPS / CA_CHIP_RATE_HZ
-EARLY, PROMPT, LATE = 0, 1, 2
-
-
-class Bits(NamedTuple):
-    """Data bits that are complete, one row each; and each channel's first half that waits."""
-
-    channel: np.ndarray  # (n_bit,) int64
-    number: np.ndarray  # (n_bit,) int64, of the data bit
-    t_mid_s: np.ndarray  # (n_bit,)
-    half_s: np.ndarray  # (n_bit,) length of a half [s]
-    iq: np.ndarray  # (n_bit, 2, n_tap) complex, known rotation taken out
-    range_offset_m: np.ndarray  # (n_bit,) known reference - NCO of the code, mean over the bit
-
-
-class HalfBits:
-    """Pairs the half-bit dumps of each channel; a half that waits is kept with its times."""
-
-    def __init__(self, n_channel: int, n_tap: int) -> None:
-        self.number = np.full(n_channel, -(10**9), dtype=np.int64)
-        self.t_s = np.zeros((n_channel, 2))
-        self.iq = np.zeros((n_channel, n_tap), dtype=np.complex128)
-
-    def pair(self, taps: Taps, steering: Steering) -> Bits:
-        """Data bits that ended among these dumps, derotated by what is known of the NCO."""
-        n_dump = taps.channel.size
-        n_tap = self.iq.shape[1]
-        out = Bits(
-            np.empty(n_dump, dtype=np.int64),
-            np.empty(n_dump, dtype=np.int64),
-            np.empty(n_dump),
-            np.empty(n_dump),
-            np.empty((n_dump, 2, n_tap), dtype=np.complex128),
-            np.empty(n_dump),
-        )
-        n_bit = _pair_halves(
-            taps.channel, taps.number, taps.t_start_s, taps.t_end_s, taps.iq, taps.noise_var,
-            self.number, self.t_s, self.iq,
-            steering.known_t_s, steering.known_carrier, steering.known_range, out,
-        )  # fmt: skip
-        return Bits(*(a[:n_bit] for a in out))
 
 
 class LineOfSight(NamedTuple):
@@ -183,46 +143,6 @@ def _sinc(x: float) -> float:
 
 
 @kernel
-def _pair_halves(
-    channel: np.ndarray,
-    number: np.ndarray,
-    t_start: np.ndarray,
-    t_end: np.ndarray,
-    iq: np.ndarray,
-    noise_var: np.ndarray,
-    wait_number: np.ndarray,
-    wait_t: np.ndarray,
-    wait_iq: np.ndarray,
-    known_t: np.ndarray,
-    known_carrier: np.ndarray,
-    known_range: np.ndarray,
-    out: Bits,
-) -> int:
-    """Fill the rows of `Bits` in out; returns their number."""
-    n_bit = 0
-    for k in range(channel.size):
-        i = channel[k]
-        scale = 1.0 / np.sqrt(noise_var[k])
-        if number[k] % 2 == 0:
-            wait_number[i] = number[k]
-            wait_t[i, 0], wait_t[i, 1] = t_start[k], t_end[k]
-            wait_iq[i] = iq[k] * scale
-        elif wait_number[i] == number[k] - 1:
-            t0, t1, t2 = wait_t[i, 0], wait_t[i, 1], t_end[k]
-            turn1 = mean_known(known_t, known_carrier[:, i], t0, t1)
-            turn2 = mean_known(known_t, known_carrier[:, i], t_start[k], t2)
-            out.channel[n_bit] = i
-            out.number[n_bit] = number[k] // 2
-            out.t_mid_s[n_bit] = 0.5 * (t0 + t2)
-            out.half_s[n_bit] = 0.5 * (t2 - t0)
-            out.iq[n_bit, 0] = wait_iq[i] * np.exp(-2j * np.pi * turn1)
-            out.iq[n_bit, 1] = iq[k] * scale * np.exp(-2j * np.pi * turn2)
-            out.range_offset_m[n_bit] = mean_known(known_t, known_range[:, i], t0, t2)
-            n_bit += 1
-    return n_bit
-
-
-@kernel
 def _build(
     bits: Bits,
     los: LineOfSight,
@@ -283,9 +203,9 @@ def _z_differential(
     for b in range(channel.size):
         a2 = amplitude2[channel[b]]
         first, second = iq[b, 0], iq[b, 1]
-        d = first[1] * np.conj(second[1]) / a2
-        s1 = ((first[2] - first[0]) * np.conj(first[1])).real
-        s2 = ((second[2] - second[0]) * np.conj(second[1])).real
+        d = first[PROMPT] * np.conj(second[PROMPT]) / a2
+        s1 = ((first[LATE] - first[EARLY]) * np.conj(first[PROMPT])).real
+        s2 = ((second[LATE] - second[EARLY]) * np.conj(second[PROMPT])).real
         z[b, 0] = d.real
         z[b, 1] = d.imag
         z[b, 2] = 0.5 * (s1 + s2) / a2
@@ -308,9 +228,9 @@ def _z_coherent(
     for b in range(channel.size):
         a2 = amplitude2[channel[b]]
         first, second = iq[b, 0], iq[b, 1]
-        p = data[b] * (first[1] + second[1]) / (2.0 * np.sqrt(a2))
-        s1 = ((first[2] - first[0]) * np.conj(first[1])).real
-        s2 = ((second[2] - second[0]) * np.conj(second[1])).real
+        p = data[b] * (first[PROMPT] + second[PROMPT]) / (2.0 * np.sqrt(a2))
+        s1 = ((first[LATE] - first[EARLY]) * np.conj(first[PROMPT])).real
+        s2 = ((second[LATE] - second[EARLY]) * np.conj(second[PROMPT])).real
         z[b, 0] = p.real
         z[b, 1] = -p.imag
         z[b, 2] = 0.5 * (s1 + s2) / a2

@@ -12,9 +12,10 @@ from signals.propagation import code_phase_origin
 from ultratight.filters.gaussian import Filter, Gaussian, Measurement, Prediction, Update
 from ultratight.ins.error_state import Layout, ProcessNoise, transition
 from ultratight.ins.imu import Increments
+from ultratight.tracking.half_bits import PROMPT, Bits, HalfBits
 from ultratight.tracking.knows import Knows
 from ultratight.tracking.lock import LockMonitor
-from ultratight.tracking.measurements import PROMPT, Bits, HalfBits, LineOfSight
+from ultratight.tracking.measurements import LineOfSight
 from ultratight.tracking.measurements import coherent as coherent_model
 from ultratight.tracking.measurements import differential as differential_model
 from ultratight.tracking.steering import (
@@ -30,6 +31,12 @@ AMPLITUDE_GAIN = 0.02
 """Share of each bit in the running A^2: a time constant of 1 s"""
 AMPLITUDE2_FLOOR = 0.5
 HALF_BIT_S = 0.01
+ABSURD_SPEED_MPS = 1e5
+ABSURD_DRIFT_MPS = 1e5
+"""0.3 per mille of the speed of light: no oscillator is that far off"""
+N_STATE = 17
+STATES = "covariance of r, v, psi, accel bias, gyro bias, clock bias, clock drift (ECEF)"
+UNITS = "products of m, m/s, rad, m/s2, rad/s, m, m/s"
 
 
 class Settings(NamedTuple):
@@ -79,6 +86,7 @@ class UltraTight:
         self.prompt = np.zeros(n, dtype=np.complex128)
         self.lock = LockMonitor(n, settings.epoch_s)
         self.coherent = False
+        self.diverged = False
         self.returns_at_s = settings.hand_over_s
         self.epoch = 0
         self.t_s = 0.0
@@ -116,13 +124,36 @@ class UltraTight:
         self._track_amplitude(bits)
         prediction = self._prediction()
         n = prediction.phi.shape[0]
-        u = self.update = self.filter.step(Gaussian(np.zeros(n), self.cov), prediction, measurement)
+        try:
+            u = self.filter.step(Gaussian(np.zeros(n), self.cov), prediction, measurement)
+        except np.linalg.LinAlgError as error:
+            self._give_up(f"covariance: {error}")
+            return
+        if not (np.isfinite(u.mean).all() and np.isfinite(u.cov).all()):
+            self._give_up("the filter's estimate is not finite")
+            return
+        self.update = u
         self.cov = u.cov
         phase_m = u.mean[self.layout.phase] if self.coherent else np.zeros(self.n_channel)
         self._feed_back(u.mean, phase_m)
+        if self._is_absurd():
+            self._give_up("estimated velocity or clock drift beyond any receiver's")
+            return
         self.events += self.lock.watch(self.t_s, bits.channel, measurement.z[:, 0])
         self._choose_model(u, measurement)
         self.epoch += 1
+
+    def _is_absurd(self) -> bool:
+        s = self.steering
+        return bool(
+            np.linalg.norm(s.v_eb_e) > ABSURD_SPEED_MPS or abs(s.clock[1]) > ABSURD_DRIFT_MPS
+        )
+
+    def _give_up(self, reason: str) -> None:
+        """The filter has diverged: there is nothing left to steer with."""
+        self.diverged = True
+        self.lock.lose_all(self.t_s)
+        self.events.append((self.t_s, -1, "diverged", reason))
 
     def _measurement(self, bits: Bits) -> Measurement:
         s, k = self.steering, self.knows
@@ -212,7 +243,7 @@ class UltraTight:
         return 10.0 * np.log10(self.amplitude2 / (2.0 * HALF_BIT_S))
 
     def fields(self) -> dict[str, tuple[tuple[int, ...], tuple[str, ...], str, str]]:
-        """What is kept of each epoch; phases of the channels are not in ``sigma``."""
+        """What is kept of each epoch; the channels' phases are left out of ``covariance``."""
         n = self.n_channel
         channel = ((n,), ("channel",))
         return {
@@ -223,8 +254,7 @@ class UltraTight:
             "gyro_bias": ((3,), ("axis",), "rad/s", "estimated gyro bias"),
             "clock_m": ((), (), "m", "estimated receiver clock bias"),
             "clock_rate": ((), (), "m/s", "estimated receiver clock drift"),
-            "sigma": ((17,), ("state",), "m, m/s, rad, m/s2, rad/s, m, m/s", "1 sigma, 17 states"),
-            "cov_velocity": ((3, 3), ("row", "column"), "m2/s2", "covariance of the velocity"),
+            "covariance": ((N_STATE, N_STATE), ("state", "state_2"), UNITS, STATES),
             "nis": ((), (), "1", "normalised innovation squared of the epoch"),
             "n_measurement": ((), (), "1", "numbers measured in the epoch"),
             "fading_factor": ((), (), "1", "fading factor in use"),
@@ -242,8 +272,7 @@ class UltraTight:
         rows["accel_bias"][k] = s.accel_bias
         rows["gyro_bias"][k] = s.gyro_bias
         rows["clock_m"][k], rows["clock_rate"][k] = s.clock
-        rows["sigma"][k] = np.sqrt(np.abs(self.cov.diagonal()[:17]))
-        rows["cov_velocity"][k] = self.cov[3:6, 3:6]
+        rows["covariance"][k] = self.cov[:N_STATE, :N_STATE]
         if u is not None:
             rows["nis"][k] = u.nis
             rows["n_measurement"][k] = u.innovation.size

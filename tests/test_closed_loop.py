@@ -1,0 +1,229 @@
+"""The loop, closed: what must hold of a whole run, against figures that others measured."""
+
+import json
+
+import numpy as np
+import pytest
+
+import ultratight
+from signals.codes import GPS_L1CA
+from signals.correlator import SampleCorrelator
+from signals.recording import Recording
+from ultratight import metrics
+from ultratight.filters.gaussian import predict, update
+from ultratight.filters.rules import get_rule
+from ultratight.ins.imu import Increments
+from ultratight.simulation import fly, new_closure
+from ultratight.tracking.knows import Knows
+from ultratight.world import World
+
+CAUSE_OFF = {"imu.accel_scale_factor_ppm": [0.0, 0.0, 0.0]}
+MATCHED = CAUSE_OFF | {"imu.grade": "matched", "imu.lag_s": 0.0}
+"""An IMU that obeys the filter's model: biases and white noise, nothing else"""
+
+
+def scenario(preset="jump-1", filter="qkf", **changes):
+    return ultratight.load(preset, {"receiver.filter": filter} | changes)
+
+
+def flown(preset="jump-1", filter="qkf", seed=1, **changes):
+    return ultratight.run(scenario(preset, filter, **changes), seed)
+
+
+def same_bits(a, b):
+    assert a.variables.keys() == b.variables.keys()
+    for name in a.variables:
+        np.testing.assert_array_equal(a[name], b[name], err_msg=name)
+
+
+SHORT = {"duration_s": 3.0, "profile": [], "jump_window_s": [1.0, 2.0]}
+"""Three seconds, with the hand-over to the coherent model at 2 s"""
+
+
+def test_receiver_sees_no_truth(tmp_path):
+    """From files alone (samples, increments, what it knows) a receiver gives the same bits."""
+    chosen = scenario("jump-1", "fiqkf-r", **SHORT, **{"correlator.kind": "samples"})
+    world = World(chosen, 5)
+    reference = ultratight.run(chosen, 5)
+
+    recording = world.samples.record(path=tmp_path / "samples.bin")
+    imu = world.imu[0]
+    np.savez(tmp_path / "imu.npz", t=imu.t_s, alpha=imu.alpha_ib_b, nu=imu.nu_ib_b)
+    world.knows.save(tmp_path / "knows.npz")
+    rate, if_hz, sigma = recording.sample_rate_hz, recording.if_hz, recording.sigma
+    del world, recording
+
+    knows = Knows.load(tmp_path / "knows.npz")
+    samples = Recording(tmp_path / "samples.bin", rate, if_hz, sigma)
+    with np.load(tmp_path / "imu.npz") as data:
+        increments = Increments(data["t"], data["alpha"], data["nu"])
+    chips = np.stack([GPS_L1CA.chips(int(p)) for p in knows.prn])
+    receiver = new_closure(chosen, knows)
+    correlator = SampleCorrelator(samples, chips, np.array([-0.25, 0.0, 0.25]))
+    again = fly(receiver, correlator, increments, chosen.duration_s)
+    for name in ("r_eb_e", "v_eb_e", "C_b_e", "clock_m", "covariance", "cn0", "nis"):
+        np.testing.assert_array_equal(again.rows[name], reference[name], err_msg=name)
+
+
+def test_same_seed_same_bits_and_another_seed_others():
+    first, again = flown(**SHORT), flown(**SHORT)
+    same_bits(first, again)
+    assert not np.array_equal(first["v_eb_e"], flown(seed=2, **SHORT)["v_eb_e"])
+
+
+def test_a_longer_run_begins_like_a_shorter_one():
+    """The world is causal: what comes later changes nothing but the rounding of long products."""
+    short, longer = flown(**SHORT), flown(**(SHORT | {"duration_s": 4.0}))
+    n = short.t_s.size
+    for name in ("v_eb_e", "clock_m", "cn0"):
+        np.testing.assert_allclose(short[name], longer[name][:n], rtol=0, atol=1e-9, err_msg=name)
+
+
+def test_a_filter_in_plain_python_flies_in_the_same_loop():
+    class Plain:
+        def reset(self):
+            """Nothing is remembered."""
+
+        def step(self, state, prediction, measurement):
+            prior = predict(state, prediction.phi, prediction.q)
+            return update(prior, measurement, get_rule("linearised"))
+
+    mine = ultratight.run(scenario("jump-1", "kf", **SHORT), 3, filter=Plain())
+    named = flown("jump-1", "kf", 3, **SHORT)
+    np.testing.assert_array_equal(mine["v_eb_e"], named["v_eb_e"])
+    assert mine.summary["filter"] == "Plain"
+
+
+def test_summary_is_json_and_saved_run_comes_back(tmp_path):
+    run = flown(**SHORT)
+    json.loads(json.dumps(run.summary, allow_nan=False))
+    run.save(tmp_path / "run.nc")
+    back = ultratight.load_run(tmp_path / "run.nc")
+    same_bits(run, back)
+    assert back.summary == run.summary
+    assert back.events == run.events
+
+
+@pytest.mark.parametrize("measurement", ["coherent", "differential"])
+def test_a_matched_imu_feels_no_jump(measurement):
+    """Specification 10.7 and design, causality: at most 0.03 m/s at the jump in model C.
+
+    In model D the same filter without any jump has 0.05 to 0.11 m/s of thermal error (spec. 0.1,
+    campaign 7.2 'ideal': 0.092).
+    """
+    limit = 0.03 if measurement == "coherent" else 0.15
+    for name in ("qkf", "fiqkf-r"):
+        run = flown("jump-1", name, 1, **MATCHED, **{"receiver.measurement": measurement})
+        assert run.summary["converged"]
+        assert run.summary["velocity_rms_mps"]["jump"] < limit
+        assert all(t is None for t in run.summary["lost_lock_s"].values())
+
+
+def test_the_jump_with_its_cause_and_without():
+    """Specification, campaign A case 1 and 10.7, a few seeds; the whole set is marked slow."""
+    for seed in (1, 2):
+        lost = flown("jump-1", "qkf", seed).summary
+        held = flown("jump-1", "fiqkf-r", seed).summary
+        assert not lost["converged"]
+        assert held["converged"]
+        assert 0.07 < held["velocity_rms_mps"]["jump"] < 0.20
+    on = [flown("jump-1", name, 1, **CAUSE_OFF).summary for name in ("qkf", "fiqkf-r")]
+    jump = [s["velocity_rms_mps"]["jump"] for s in on]
+    assert abs(jump[0] - jump[1]) < 0.03
+    assert all(s["converged"] for s in on)
+
+
+def test_fall_back_lets_the_plain_qkf_recover():
+    """Specification 8: 10 of 10 with the fall-back, 0 of 10 without."""
+    run = flown("jump-1", "qkf", 1, **{"receiver.fall_back": True})
+    kinds = [e.kind for e in run.events]
+    assert run.summary["fall_backs"] == kinds.count("fall-back") >= 1
+    assert kinds.count("hand-over") >= 2
+    without = flown("jump-1", "qkf", 1)
+    assert without.summary["fall_backs"] == 0
+    end = run.summary["velocity_rms_mps"]["end"]
+    assert end < without.summary["velocity_rms_mps"]["end"]
+
+
+def test_fading_as_printed_diverges_at_50_hz():
+    """Specification 4 and 6: 0 of 160 runs converge."""
+    for name in ("fiqkf", "fiqkf-fading"):
+        for seed in (1, 2):
+            assert not flown("jump-1", name, seed).summary["converged"]
+
+
+def test_interval_as_printed_harms_without_any_jump():
+    """Specification 5, model D: the halved gain leaves more error (0.055 -> 0.144 m/s there)."""
+    error = {"qkf": 0.0, "qkf-interval-printed": 0.0}
+    for name in error:
+        for seed in (1, 2, 3):
+            run = flown("uniform", name, seed, **{"receiver.measurement": "differential"})
+            error[name] += run.summary["velocity_rms_mps"]["before"] / 3.0
+    assert error["qkf-interval-printed"] > 1.2 * error["qkf"]
+
+
+def test_lever_arm_in_a_turn_leaves_the_errors_as_they_were():
+    """The antenna 3 m ahead of the IMU, 20 deg/s: ten times the arm's own speed if ignored."""
+    turn = {
+        "duration_s": 20.0,
+        "profile": [
+            {"t0_s": 8.0, "t1_s": 16.0, "turn_rate0_deg_s": 20.0, "turn_rate1_deg_s": 20.0}
+        ],
+    }
+    for arm in ([0.0, 0.0, 0.0], [3.0, 0.5, -1.0]):
+        run = flown("uniform", "qkf", 4, **MATCHED, **turn, **{"imu.lever_arm_b_m": arm})
+        error = np.linalg.norm(metrics.velocity_error(run), axis=1)
+        assert run.summary["converged"]
+        assert error[run.t_s > 9.0].max() < 0.15  # 3 m x 20 deg/s = 1.05 m/s
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("measurement", ["coherent", "differential"])
+def test_twenty_seeds_of_jump_1(measurement):
+    """Specification 10.7: QKF at most 6 of 20, FIQKF-R at least 18 of 20, no fall-back."""
+    converged = {}
+    jump = {}
+    for name in ("qkf", "fiqkf-r"):
+        runs = [
+            flown("jump-1", name, s, **{"receiver.measurement": measurement}).summary
+            for s in range(1, 21)
+        ]
+        converged[name] = sum(s["converged"] for s in runs)
+        jump[name] = np.median([s["velocity_rms_mps"]["jump"] for s in runs])
+    assert converged["qkf"] <= 6
+    assert converged["fiqkf-r"] >= 18
+    if measurement == "coherent":
+        assert 0.07 < jump["fiqkf-r"] < 0.20
+
+
+@pytest.mark.slow
+def test_samples_agree_with_the_closed_form():
+    """Three seeds: the same in kind, jump r.m.s. of FIQKF-R within 30 %."""
+    for seed in (1, 2, 3):
+        for name in ("qkf", "fiqkf-r"):
+            model = flown("jump-1", name, seed).summary
+            sampled = flown("jump-1", name, seed, **{"correlator.kind": "samples"}).summary
+            assert sampled["converged"] == model["converged"]
+            if name == "fiqkf-r":
+                ratio = sampled["velocity_rms_mps"]["jump"] / model["velocity_rms_mps"]["jump"]
+                assert 0.7 < ratio < 1.3
+
+
+@pytest.mark.slow
+def test_a_matched_imu_feels_no_jump_in_samples():
+    run = flown("jump-1", "qkf", 1, **MATCHED, **{"correlator.kind": "samples"})
+    assert run.summary["velocity_rms_mps"]["jump"] < 0.03
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("measurement", ["coherent", "differential"])
+def test_consistency_over_a_hundred_runs(measurement):
+    """Specification 10.1: mean NEES17/17 at 5, 20, 50 s in [0.9, 1.1], NIS/m in [0.97, 1.02]."""
+    n_run = 100
+    nees, nis = np.zeros(3), 0.0
+    for seed in range(n_run):
+        run = flown("uniform", "qkf", seed, **MATCHED, **{"receiver.measurement": measurement})
+        nees += metrics.nees_17(run, (5.0, 20.0, 50.0)) / 17.0 / n_run
+        nis += metrics.nis_per_measurement(run, run.t_s > 0.0) / n_run
+    assert np.all((nees > 0.9) & (nees < 1.1)), nees
+    assert 0.97 < nis < 1.02
