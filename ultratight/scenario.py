@@ -176,7 +176,7 @@ class Receiver(_Table):
     """A coherent receiver starts with differential measurements and changes over at this time"""
     fall_back: bool = True
     """To differential measurements on loss of lock, and back after ``hand_over_s``"""
-    integration_s: Annotated[float, Field(ge=0.001, le=0.02)] = 0.02
+    integration_s: Annotated[float, Field(ge=0.001, le=0.02)] = 0.005
     """Scalar closures: coherent integration once pulled in"""
     bandwidth_hz: Annotated[float, Field(gt=0.0, le=100.0)] = 18.0
     """Scalar closures: noise bandwidth of the PLL"""
