@@ -1,0 +1,387 @@
+"""The scalar closure on taps in closed form: pull-in, jitter, loss of lock, positions."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from signals import clock
+from signals.codes import GPS_L1CA
+from signals.constants import C_MPS, GPS_L1_HZ
+from signals.correlator_model import ModelCorrelator
+from signals.noise import generator
+from signals.propagation import SignalState, signal_state, symbol_span
+from ultratight import scenario
+from ultratight.ins.imu import Increments
+from ultratight.simulation import fly, new_closure
+from ultratight.tracking.channel_loops import LOCKED, PULL_IN
+from ultratight.tracking.loop_filters import phase_loop
+from ultratight.tracking.positioning import least_squares
+from ultratight.tracking.scalar import Scalar, ScalarSettings
+from ultratight.world import World
+
+NO_IMU = Increments(np.zeros(1), np.zeros((0, 3)), np.zeros((0, 3)))
+NODE_S = 0.005
+CALM = [
+    'clock.model="ideal"',
+    "clock.bias_m=0.0",
+    "clock.drift_mps=0.0",
+]
+
+
+@dataclasses.dataclass
+class Bench:
+    """Channels in uniform motion, each with its own code, bits and oscillator; no IMU."""
+
+    receiver: Scalar
+    correlator: ModelCorrelator
+    state: SignalState
+
+    def run(self, until_s: float) -> tuple[np.ndarray, np.ndarray]:
+        """Errors of the NCO (n_epoch, n_channel): carrier [cycles], less half cycles; code."""
+        s, steps = self.receiver, []
+        for k in range(round(s.t_s * 1000.0), round(until_s * 1000.0)):
+            s.step(self.correlator(s.steer((k + 1) * 0.001, NO_IMU)))
+            steps.append((s.t_s, s.loops.carrier_cycles.copy(), s.loops.code_chips.copy()))
+        t, carrier, code = (np.array(a) for a in zip(*steps, strict=True))
+        error = true_phase(self.state.t_s, self.state.carrier_phase_cycles, t) - carrier
+        code_error = true_phase(self.state.t_s, self.state.code_phase_chips, t) - code
+        return (error + 0.25) % 0.5 - 0.25, code_error
+
+
+def true_phase(nodes, cubic, t):
+    p = np.minimum((t / NODE_S + 1e-6).astype(int), nodes.size - 2)
+    dt = t - nodes[p]
+    c = cubic[:, p]
+    return (((c[..., 3] * dt + c[..., 2]) * dt + c[..., 1]) * dt + c[..., 0]).T
+
+
+def bench(
+    settings, n, duration_s, level_dbhz, *, spacing=0.25, oscillator="ideal", seed=1, **told
+) -> Bench:
+    """n channels, PRN 1 ... n, on the lines of sight of the preset `uniform`.
+
+    level_dbhz: C/N0, (n_node,) or a number.  told: changes to the receiver's perfect knowledge.
+    """
+    world = World(scenario.load("uniform", CALM), seed)
+    t = np.arange(round(duration_s / NODE_S) + 1) * NODE_S
+    r, v = world.antenna(t)
+    prn = np.arange(1, n + 1)
+    rows = world.elements[np.arange(n) % len(world.prn)]
+    first, n_bit = symbol_span(world.scenario.start_tow_s, t)
+    rng = generator(seed, "bench")
+    bits = (1 - 2 * rng.integers(0, 2, (n, n_bit))).astype(np.int8)
+    cn0 = np.broadcast_to(level_dbhz, (1, t.size))
+    parts = []
+    for i in range(n):
+        ticks = clock.simulate(clock.OSCILLATORS[oscillator], t, rng)
+        parts.append(
+            signal_state(
+                rows[i : i + 1], world.scenario.start_tow_s, t, r, v,
+                ticks.clock_m, ticks.clock_rate_mps, cn0, bits[i : i + 1], first,
+            )
+        )  # fmt: skip
+    joined = ("code_phase_chips", "carrier_phase_cycles", "cn0_dbhz", "valid", "symbols")
+    state = parts[0]._replace(
+        **{k: np.concatenate([getattr(part, k) for part in parts]) for k in joined}
+    )
+    perfect = {
+        "prn": prn, "elements": rows, "cn0_dbhz": state.cn0_dbhz[:, 0], "r_eb_e": r[0],
+        "v_eb_e": v[0], "clock_m": 0.0, "clock_rate_mps": 0.0, "data_bits": None,
+    }  # fmt: skip
+    knows = dataclasses.replace(world.knows, **(perfect | told))
+    chips = np.stack([GPS_L1CA.chips(int(p)) for p in prn])
+    offsets = np.array([-spacing, 0.0, spacing])
+    return Bench(
+        Scalar(knows, settings, spacing, NODE_S, aided=False),
+        ModelCorrelator(state, chips, prn, offsets, seed),
+        state,
+    )
+
+
+def loss_reasons(receiver):
+    return [reason for _, _, kind, reason in receiver.events if kind == "loss of lock"]
+
+
+# -- jitter ---------------------------------------------------------------------------------------
+
+
+def thermal_cycles(bn_hz, t_s, cn0_dbhz):
+    """Costas loop with squaring loss, Kaplan & Hegarty, 3rd ed., ch. 8."""
+    c = 10.0 ** (cn0_dbhz / 10.0)
+    return np.sqrt(bn_hz / c * (1.0 + 1.0 / (2.0 * t_s * c))) / (2.0 * np.pi)
+
+
+def delay_jitter_chips(prn, bn_hz, t_s, cn0_dbhz, spacing):
+    """Dot product, D = 2 spacing, with the slope 1 - R(1) of the code's own peak."""
+    c = 10.0 ** (cn0_dbhz / 10.0)
+    slope = np.array([1.0 - GPS_L1CA.autocorrelation(int(p))[1] for p in prn])
+    return np.sqrt(bn_hz * spacing / (slope * c) * (1.0 + 1.0 / (t_s * c)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("bn_hz", "t_s", "spacing"), [(18.0, 0.005, 0.25), (5.0, 0.02, 0.1)])
+@pytest.mark.parametrize("cn0", [35.0, 45.0])
+def test_jitter_is_that_of_theory(bn_hz, t_s, spacing, cn0):
+    # independent samples are 1 / (2 Bn) apart: 10 s x 32 channels x 2 Bn >= 1280 for the DLL (2 Hz)
+    # and 3200 for the PLL, known to 2 % and 1.3 %; Bn T <= 0.1
+    settings = ScalarSettings(t_s, bn_hz, dll_bandwidth_hz=2.0)
+    b = bench(settings, 32, 20.0, cn0, spacing=spacing)
+    b.run(10.0)
+    carrier, code = b.run(19.9)
+    assert (b.receiver.loops.phase == LOCKED).all()
+    assert loss_reasons(b.receiver) == []
+    assert carrier.std() == pytest.approx(thermal_cycles(bn_hz, t_s, cn0), rel=0.1)
+    normal = code / delay_jitter_chips(np.arange(1, 33), 2.0, t_s, cn0, spacing)
+    assert normal.std() == pytest.approx(1.0, rel=0.1)
+    assert abs(normal.mean()) < 4.0 / np.sqrt(1280.0)
+
+
+def oscillator_cycles(oscillator, bn_hz, t_s):
+    """r.m.s. phase error that the oscillator causes: integral of |1 - H|^2 S_phi over f.
+
+    S_phi = (f_L1 / 2 pi f)^2 (h0 + h-2 / f^2) [cycles^2/Hz], one-sided; H is the loop written out
+    by hand in z.
+    """
+    w, _ = phase_loop(3, bn_hz, t_s, 0.0005)
+    f = np.geomspace(1e-3, 0.5 / t_s, 40_000)
+    back = np.exp(-2j * np.pi * f * t_s)
+    integral = 0.5 * t_s * (1.0 + back) / (1.0 - back)
+    open_loop = integral * back * (2.4 * w + 1.1 * w**2 * integral + w**3 * integral**2)
+    density = (GPS_L1_HZ / (2.0 * np.pi * f)) ** 2 * (oscillator.h0 + oscillator.h_minus2 / f**2)
+    return np.sqrt(np.trapezoid(density / np.abs(1.0 + open_loop) ** 2, f))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cn0", [35.0, 45.0])
+@pytest.mark.parametrize(("bn_hz", "t_s"), [(10.0, 0.01), (18.0, 0.005)])
+def test_jitter_with_the_tcxo(cn0, bn_hz, t_s):
+    b = bench(ScalarSettings(t_s, bn_hz), 32, 20.0, cn0, oscillator="tcxo")
+    b.run(10.0)
+    carrier, _ = b.run(19.9)
+    assert loss_reasons(b.receiver) == []
+    thermal = thermal_cycles(bn_hz, t_s, cn0)
+    wander = oscillator_cycles(clock.OSCILLATORS["tcxo"], bn_hz, t_s)
+    if cn0 == 45.0:
+        assert wander > thermal  # here the oscillator is what is measured
+    assert carrier.std() == pytest.approx(np.hypot(thermal, wander), rel=0.1)
+
+
+# -- the jump -------------------------------------------------------------------------------------
+
+JUMP_S, COSTAS_LIMIT_CYCLES = 20.0, 0.25
+LOOP = ["receiver.integration_s=0.005", "receiver.bandwidth_hz=18.0"]
+
+
+def fly_jump(closure, *changes):
+    changes = [f'receiver.closure="{closure}"', "cn0_dbhz=45.0", *changes]
+    world = World(scenario.load("jump-1", changes), 1)
+    receiver = new_closure(world.scenario, world.knows)
+    history = fly(receiver, world.correlator(), world.imu[0], 22.0)
+    return world, receiver, history
+
+
+@pytest.mark.slow
+def test_unaided_loops_hold_or_lose_the_jump_by_their_own_acceleration():
+    world, receiver, _ = fly_jump("scalar", *LOOP, *CALM)
+    rate = world.signal.carrier_phase_cycles[:, :, 1]
+    k = round(JUMP_S / NODE_S)
+    acceleration = np.abs(rate[:, k + 200] - rate[:, k - 1]) / (201 * NODE_S)  # Hz/s
+    # the third-order loop's error after a step of acceleration has its peak at 0.485 a / w^2
+    # (test_loop_filters) and the Costas discriminator ends at a quarter cycle
+    w, _ = phase_loop(3, 18.0, 0.005, 0.0005)
+    peak = 0.485 * acceleration / w**2
+    margin = 3.0 * thermal_cycles(18.0, 0.005, 45.0)
+    holds, loses = peak < COSTAS_LIMIT_CYCLES - margin, peak > COSTAS_LIMIT_CYCLES + margin
+    assert holds.sum() >= 3
+    assert loses.sum() >= 3
+    assert (holds | loses).all()
+    assert np.isnan(receiver.first_lost_s[holds]).all()
+    assert (receiver.first_lost_s[loses] > JUMP_S).all()
+    assert (receiver.first_lost_s[loses] < JUMP_S + 1.0).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "loop", [LOOP, ["receiver.integration_s=0.01", "receiver.bandwidth_hz=10.0"]]
+)
+def test_aided_loops_hold_the_jump(loop):
+    # what is left of 100 m/s2 is the scale factor's 0.3 m/s2 and the biases
+    world, receiver, history = fly_jump("scalar-ins", *loop)
+    assert loss_reasons(receiver) == []
+    assert (history.rows["tracking_phase"][-1] == LOCKED).all()
+    velocity = history.rows["v_eb_e"] - world.antenna(history.t_s)[1]
+    assert np.sqrt((velocity[history.t_s > 5.0] ** 2).sum(axis=1).mean()) < 0.1
+
+
+# -- life of a channel ----------------------------------------------------------------------------
+
+FAST = ScalarSettings(0.005, 18.0)
+
+
+def test_pull_in_from_what_the_receiver_knows():
+    rng = np.random.default_rng(7)
+    b = bench(FAST, 10, 2.5, 35.0)
+    v = b.receiver.knows.v_eb_e + 1.5 * rng.standard_normal(3)
+    r = b.receiver.knows.r_eb_e + 15.0 * rng.standard_normal(3)
+    b = bench(FAST, 10, 2.5, 35.0, v_eb_e=v, r_eb_e=r, clock_rate_mps=1.5, clock_m=30.0)
+    carrier, code = b.run(2.4)
+    assert (b.receiver.loops.phase == LOCKED).all()
+    assert loss_reasons(b.receiver) == []
+    # five sigma of carrier; code has decayed by exp(-4 Bn t)
+    assert np.abs(carrier[-200:]).max() < 5.0 * thermal_cycles(18.0, 0.005, 35.0)
+    assert np.abs(code[-1]).max() < 5.0 * delay_jitter_chips([1], 1.0, 0.005, 35.0, 0.25)[0]
+    order = [kind for _, i, kind, _ in b.receiver.events if i == 3]
+    assert order == ["frequency lock", "phase lock"]
+
+
+@pytest.mark.parametrize("offset_hz", [-300.0, 200.0])
+def test_the_frequency_loop_pulls_in_from_far(offset_hz):
+    b = bench(FAST, 6, 4.0, 45.0, clock_rate_mps=-offset_hz * C_MPS / GPS_L1_HZ)
+    b.run(3.9)
+    true_hz = b.state.carrier_phase_cycles[:, -20, 1]
+    assert (b.receiver.loops.phase == LOCKED).all()
+    np.testing.assert_allclose(b.receiver.doppler_hz, true_hz, atol=2.0)
+
+
+def test_second_order_loops_lock_too():
+    b = bench(ScalarSettings(0.005, 18.0, pll_order=2, dll_order=2), 10, 3.0, 40.0)
+    b.run(2.0)
+    carrier, _ = b.run(2.9)
+    assert (b.receiver.loops.phase == LOCKED).all()
+    assert carrier.std() == pytest.approx(thermal_cycles(18.0, 0.005, 40.0), rel=0.15)
+
+
+@pytest.mark.parametrize("cn0", [30.0, 45.0])
+def test_cn0_is_estimated(cn0):
+    # a low pass of 1 s: each channel is known to 0.24 dB at 30 dB-Hz (narrow-wide power ratio of
+    # 20 x 50 prompts), the mean of 16 to 0.06 dB; code and phase jitter take up to 0.2 dB
+    b = bench(FAST, 16, 8.0, cn0, cn0_dbhz=np.full(16, cn0 - 3.0))
+    b.run(7.9)
+    assert b.receiver.cn0_dbhz.mean() == pytest.approx(cn0, abs=0.4)
+
+
+def test_an_outage_is_a_loss_of_lock_and_ends_in_lock():
+    level = np.full(round(9.0 / NODE_S) + 1, 40.0)
+    level[round(3.0 / NODE_S) : round(5.0 / NODE_S)] = 0.0
+    b = bench(FAST, 6, 9.0, level)
+    b.run(8.9)
+    lost = b.receiver.first_lost_s
+    assert ((lost > 3.0) & (lost < 4.0)).all()
+    assert any("phase lock indicator" in reason for reason in loss_reasons(b.receiver))
+    assert (b.receiver.loops.phase == LOCKED).all()
+
+
+def test_a_false_frequency_lock_is_noticed():
+    # at 1 / (2 T) = 25 Hz a Costas loop of 20 ms turns by half a cycle per update and sees nothing
+    b = bench(ScalarSettings(0.02, 5.0), 6, 7.0, 45.0)
+    b.run(3.0)
+    assert (b.receiver.loops.phase == LOCKED).all()
+    b.receiver.loops.carrier_memory[:, 1] += 25.0
+    b.run(6.9)
+    assert any("frequency lock indicator" in reason for reason in loss_reasons(b.receiver))
+    assert (b.receiver.loops.phase == LOCKED).all()
+
+
+def test_missing_dumps_spoil_their_bit_only():
+    b = bench(FAST, 6, 2.0, 45.0)
+    s = b.receiver
+    for k in range(1900):
+        taps = b.correlator(s.steer((k + 1) * 0.001, NO_IMU))
+        if k % 100 == 57:
+            taps = type(taps)(*(column[1:] for column in taps))
+        s.step(taps)
+    assert loss_reasons(s) == []
+    assert (s.loops.phase == LOCKED).all()
+
+
+# -- command --------------------------------------------------------------------------------------
+
+
+def test_the_command_is_continuous_and_uses_earlier_increments_only():
+    world = World(scenario.load("jump-1", ['receiver.closure="scalar-ins"']), 1)
+    imu = world.imu[0]
+    given = Increments(imu.t_s[1:3], imu.alpha_ib_b[1:2], imu.nu_ib_b[1:2])
+    shaken = given._replace(nu_ib_b=given.nu_ib_b + 5.0)
+    commands = []
+    for increments in (given, shaken):
+        receiver = new_closure(world.scenario, world.knows)
+        for k in range(4):
+            before = receiver.steer((k + 1) * 0.001, NO_IMU)
+        during = receiver.steer(0.005, increments)
+        commands.append((before, during, receiver.steer(0.006, NO_IMU)))
+    (_, first, second), (_, shaken_first, shaken_second) = commands
+    for a, b in zip(first, shaken_first, strict=True):
+        np.testing.assert_array_equal(a, b)
+    assert np.abs(second.carrier_freq_hz - shaken_second.carrier_freq_hz).max() > 1.0
+    for before, during, after in commands:
+        for old, new in ((before, during), (during, after)):
+            dt = old.t_s[1] - old.t_s[0]
+            end = old.carrier_phase_cycles + dt * (
+                old.carrier_freq_hz + 0.5 * dt * old.carrier_rate_hz_per_s
+            )
+            np.testing.assert_allclose(new.carrier_phase_cycles, end, rtol=0.0, atol=1e-7)
+            end = old.code_phase_chips + dt * old.chip_rate_hz
+            np.testing.assert_allclose(new.code_phase_chips, end, rtol=0.0, atol=1e-9)
+
+
+# -- positions ------------------------------------------------------------------------------------
+
+
+def test_least_squares_finds_where_the_pseudoranges_came_from():
+    world = World(scenario.load("uniform", CALM), 1)
+    truth = np.array([*world.knows.r_eb_e, 321.0, *world.knows.v_eb_e, -12.0])
+    from signals.propagation import pseudorange
+
+    tow_s = world.scenario.start_tow_s + 3.0
+    seen = [pseudorange(row, tow_s, truth[:3], truth[4:7], 321.0, -12.0) for row in world.elements]
+    rho, rate = np.array([s[0] for s in seen]), np.array([s[1] for s in seen])
+    use = np.ones(rho.size, dtype=bool)
+    found = truth + np.array([3e4, -2e4, 1e4, 5e3, 100.0, -50.0, 30.0, 9.0])
+    assert least_squares(world.elements, tow_s, rho, rate, use, found)
+    np.testing.assert_allclose(found[:4], truth[:4], atol=1e-5)
+    np.testing.assert_allclose(found[4:], truth[4:], atol=1e-6)
+    use[3:] = False
+    assert not least_squares(world.elements, tow_s, rho, rate, use, found)
+
+
+def test_position_and_velocity_of_a_flight():
+    world = World(scenario.load("uniform", ['receiver.closure="scalar"', *LOOP]), 3)
+    receiver = new_closure(world.scenario, world.knows)
+    history = fly(receiver, world.correlator(), world.imu[0], 6.0)
+    assert np.isnan(history.rows["r_eb_e"][0]).all()  # no lock yet
+    settled = history.t_s > 3.0
+    r, v = world.antenna(history.t_s[settled])
+    # DLL 1 Hz at 35 dB-Hz: 2.6 m per satellite, times a PDOP of 2 (10 satellites)
+    assert np.linalg.norm(history.rows["r_eb_e"][settled] - r, axis=1).max() < 4.0 * 2.6 * 2.0
+    assert np.linalg.norm(history.rows["v_eb_e"][settled] - v, axis=1).max() < 0.5
+    assert np.abs(history.rows["clock_rate"][settled] - world.clock_rate_mps[0]).max() < 2.0
+    snapshot = receiver.snapshot()
+    assert {a.shape for a in snapshot.values()} == {world.prn.shape}
+
+
+# -- settings -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"integration_s": 0.003}, "integration_s is 0.003"),
+        ({"integration_s": 0.0205}, "integration_s is 0.0205"),
+        ({"bandwidth_hz": -1.0}, "bandwidth_hz is -1.0"),
+        ({"dll_bandwidth_hz": 0.0}, "bandwidth_hz is 0.0"),
+        ({"fll_bandwidth_hz": np.nan}, "fll_bandwidth_hz is nan"),
+        ({"pll_order": 1}, "pll_order is 1"),
+        ({"dll_order": 3}, "dll_order is 3"),
+    ],
+)
+def test_settings_that_mean_nothing(change, message):
+    world = World(scenario.load("uniform", CALM), 1)
+    with pytest.raises(ValueError, match=message):
+        Scalar(world.knows, ScalarSettings(**change), 0.25, NODE_S, aided=False)
+
+
+def test_a_bench_starts_in_pull_in():
+    b = bench(FAST, 4, 0.1, 40.0)
+    assert (b.receiver.loops.phase == PULL_IN).all()
+    assert np.isnan(b.receiver.pvt()[0]).all()
