@@ -10,7 +10,7 @@ from signals.codes import GPS_L1CA
 from signals.constants import C_MPS, GPS_L1_HZ
 from signals.correlator_model import ModelCorrelator
 from signals.noise import generator
-from signals.propagation import SignalState, signal_state, symbol_span
+from signals.propagation import SignalState, pseudorange, signal_state, symbol_span
 from ultratight import scenario
 from ultratight.ins.imu import Increments
 from ultratight.simulation import fly, new_closure
@@ -331,8 +331,6 @@ def test_the_command_is_continuous_and_uses_earlier_increments_only():
 def test_least_squares_finds_where_the_pseudoranges_came_from():
     world = World(scenario.load("uniform", CALM), 1)
     truth = np.array([*world.knows.r_eb_e, 321.0, *world.knows.v_eb_e, -12.0])
-    from signals.propagation import pseudorange
-
     tow_s = world.scenario.start_tow_s + 3.0
     seen = [pseudorange(row, tow_s, truth[:3], truth[4:7], 321.0, -12.0) for row in world.elements]
     rho, rate = np.array([s[0] for s in seen]), np.array([s[1] for s in seen])
