@@ -61,15 +61,15 @@ def channel_iq(run: Run, ax: Axes, channel: str) -> Axes:
     for name, colour in (("tap_i", COLOURS[0]), ("tap_q", COLOURS[1])):
         text = "I" if name == "tap_i" else "Q"
         ax.plot(t, run[name][mine, prompt], ".", markersize=1.5, color=colour, label=text)
-    ax.set_ylabel(f"{channel} prompt\n[noise s.d.]")
-    ax.legend(loc="upper right", fontsize="small", markerscale=5.0)
+    ax.set_ylabel(f"{channel} prompt\n({label(run)}) [noise s.d.]")
+    ax.legend(loc="upper right", fontsize="small", markerscale=5.0, framealpha=1.0)
     return _time_axis(ax, run)
 
 
 def cn0(run: Run, ax: Axes, channel: str) -> Axes:
     """C/N0 of one channel as the receiver estimates it."""
     ax.plot(run.t_s, run["cn0"][:, _index(run, channel)], color=COLOURS[2])
-    ax.set_ylabel(f"{channel} C/N0\n[dB-Hz]")
+    ax.set_ylabel(f"{channel} C/N0\n({label(run)}) [dB-Hz]")
     return _time_axis(ax, run)
 
 

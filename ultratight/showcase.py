@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Literal
 
 from rich import box
 from rich.console import Console
@@ -96,20 +97,23 @@ def _print_table(
     table = Table(
         title=f"{PRESET}: {scenario.title}; model C (coherent), {scenario.cn0_dbhz:g} dB-Hz, "
         "IF samples",
-        caption=f"cause: {_cause(scenario, seed)}; 'off': 0 ppm, same samples and noise. "
-        "Velocity error r.m.s. in m/s; converged: end (last 2.5 s) below 0.5 m/s.",
+        caption=f"cause: {_cause(scenario, seed)}; off: 0 ppm, same samples and noise. "
+        "before ... end: velocity error r.m.s. [m/s]; pos.: position error at the end; lost: "
+        "channels that lost lock; conv.: end (last 2.5 s) below 0.5 m/s; x r.t.: speed against "
+        "real time.",
         box=box.SIMPLE,
     )
-    for name in ("cause", "filter", "before", "jump", "after", "end", "position end [m]",
-                 "channels lost", "converged", "x real time"):  # fmt: skip
-        table.add_column(name, justify="left" if name in ("cause", "filter") else "right")
+    for name in ("cause", "filter", "before", "jump", "after", "end", "pos. m", "lost", "conv.",
+                 "x r.t."):  # fmt: skip
+        justify: Literal["left", "right"] = "left" if name in ("cause", "filter") else "right"
+        table.add_column(name, justify=justify, no_wrap=True)
     for (name, cause), flown in runs.items():
         s = flown.summary
         velocity = [f"{v:.3f}" for v in s["velocity_rms_mps"].values()]
         lost = sum(t is not None for t in s["lost_lock_s"].values())
         table.add_row(
             cause, name, *velocity, f"{s['position_rms_end_m']:.2f}",
-            f"{lost} of {s['n_satellites']}", "yes" if s["converged"] else "no",
+            f"{lost}/{s['n_satellites']}", "yes" if s["converged"] else "no",
             f"{s['realtime_factor']:.1f}",
         )  # fmt: skip
     console.print(table)
