@@ -95,11 +95,9 @@ class SampleCorrelator:
 
     def _rows(self, nco: Nco) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Room for every integration that can end: index, phases, iq, and their count."""
-        dt = np.diff(nco.t_s)[:, None]
-        most = np.where(
-            nco.valid, np.abs(nco.chip_rate_hz) * dt / np.maximum(nco.dump_chips, 1) + 3.0, 0.0
-        )
-        n = int(most.sum(axis=0).max(initial=0.0))
+        chips = (nco.t_s[1:] - nco.t_s[:-1]) @ nco.chip_rate_hz[:, nco.valid]
+        most = (chips / nco.dump_chips[nco.valid]).max(initial=0.0)
+        n = int(most) + 3 * (nco.t_s.size - 1)
         n_channel, n_tap = len(self._table), self.offset_chips.size
         return (
             np.empty((n_channel, n), np.int64),
@@ -132,23 +130,26 @@ class SampleCorrelator:
 
     def _check(self, nco: Nco, fs: float) -> None:
         n_channel = len(self._table)
-        shape = (len(nco.t_s) - 1, n_channel)
-        if np.shape(nco.dump_chips) != (n_channel,) or np.shape(nco.valid) != (n_channel,):
+        shape = (nco.t_s.size - 1, n_channel)
+        if nco.dump_chips.shape != (n_channel,) or nco.valid.shape != (n_channel,):
             raise ValueError(f"nco.dump_chips and nco.valid: expected ({n_channel},) each")
-        if len(nco.t_s) < 2 or not np.all(np.diff(nco.t_s) > 0.0):
+        if nco.t_s.ndim != 1 or nco.t_s.size < 2 or not np.all(nco.t_s[1:] > nco.t_s[:-1]):
             raise ValueError(f"nco.t_s is {nco.t_s.tolist()}: expected two or more, rising")
         for name in Nco._fields[1:6]:
-            if np.shape(getattr(nco, name)) != shape:
+            if getattr(nco, name).shape != shape:
                 raise ValueError(f"nco.{name} is {getattr(nco, name).shape}: expected {shape}")
-            if not np.isfinite(getattr(nco, name)[:, nco.valid]).all():
-                raise ValueError(f"nco.{name} of a valid channel is not finite")
-        rate = nco.chip_rate_hz[:, nco.valid]
-        if not np.all((rate > 0.0) & (rate <= fs)):
+        lines = np.stack(nco[1:6])[:, :, nco.valid]
+        finite = np.isfinite(lines).all(axis=(1, 2))
+        if not finite.all():
+            name = Nco._fields[1 + int(np.argmin(finite))]
+            raise ValueError(f"nco.{name} of a valid channel is not finite")
+        low, high = lines[1].min(initial=fs), lines[1].max(initial=0.0)
+        if not 0.0 < low <= high <= fs and nco.valid.any():
             raise ValueError(
-                f"nco.chip_rate_hz is {rate.min()} to {rate.max()}: expected > 0 and at most the "
-                f"sampling rate, {fs} Hz"
+                f"nco.chip_rate_hz is {low} to {high}: expected > 0 and at most the sampling "
+                f"rate, {fs} Hz"
             )
-        if np.any(nco.dump_chips[nco.valid] < 1):
+        if nco.dump_chips[nco.valid].min(initial=1) < 1:
             raise ValueError(f"nco.dump_chips is {nco.dump_chips}: expected at least one chip")
 
 

@@ -11,7 +11,8 @@ Hegarty, 3rd ed., ch. 8).  The band is unfiltered: chips have infinitely steep e
 The work is done in cells of `CELL` samples that are fixed to the absolute sample number; in each
 the phases come anew from the float64 cubics of the truth.  The carrier follows them to second
 order inside the cell, the code to first (at 10 g the rest is below 1e-7 chips), data symbols
-change at the very sample.  Hence the same bits for any block or number of threads.
+change at the very sample.  Hence the same bits for any block or number of threads.  A reader that
+goes on where it was gets whole cells ahead: commands of 1 ms would compute every cell twice.
 """
 
 from __future__ import annotations
@@ -37,6 +38,7 @@ GUARD_SAMPLES = 1e-5
 _INT8_SIGMA = 24.0
 _ROUNDING_VAR = 1.0 / 12.0
 _CELLS_PER_BLOCK = 1024
+_CELLS_AHEAD = 64
 
 
 def first_sample_at(t_s: float | np.ndarray, sample_rate_hz: float) -> np.ndarray:
@@ -87,6 +89,7 @@ class SyntheticIf:
         edge = first_sample_at(state.t_s, sample_rate_hz)
         self.first_sample, self.end_sample = int(edge[0]), int(edge[-1])
         self._workers = workers
+        self._kept = -1, np.empty((0, 2), self.dtype)  # last computed: number of the first, samples
         # rounding adds its own variance: what is drawn leaves room for it, the sum has `sigma`
         rounding = _ROUNDING_VAR if sample_format == "int8" else 0.0
         cn0_hz = np.where(state.valid, 10.0 ** (np.asarray(state.cn0_dbhz) / 10.0), 0.0)
@@ -110,17 +113,29 @@ class SyntheticIf:
     def samples(self, n0: int, n1: int) -> np.ndarray:
         """Samples n0 <= n < n1 as (n1 - n0, 2) of the sample format: I, Q."""
         check_range(n0, n1, self.first_sample, self.end_sample, "the truth")
-        out = np.empty((n1 - n0, 2), self.dtype)
-        self._generate(n0, out)
-        return out
+        first, kept = self._kept
+        if not first <= n0 <= n1 <= first + len(kept):
+            first, kept = self._kept = n0, self._more(n0, n1)
+        return kept[n0 - first : n1 - first].copy()
+
+    def _more(self, n0: int, n1: int) -> np.ndarray:
+        """At least samples n0 ... n1 - 1, what is kept of them included."""
+        first, kept = self._kept
+        goes_on = first <= n0 <= first + len(kept)
+        known = kept[n0 - first :] if goes_on else kept[:0]
+        start = n0 + len(known)
+        end = max(n1, start + _CELLS_AHEAD * CELL) if goes_on else n1
+        more = np.empty((min(-(-end // CELL) * CELL, self.end_sample) - start, 2), self.dtype)
+        self._generate(start, more)
+        return np.concatenate([known, more])
 
     def _generate(self, n0: int, out: np.ndarray) -> None:
-        limits = np.linspace(n0, n0 + len(out), self._workers + 1).astype(np.int64)
-        limits[1:-1] -= limits[1:-1] % CELL  # no cell is computed twice
-        limits = np.maximum(limits, n0)
         if self._workers == 1:
             _generate(n0, out, *self._arguments)
             return
+        limits = np.linspace(n0, n0 + len(out), self._workers + 1).astype(np.int64)
+        limits[1:-1] -= limits[1:-1] % CELL  # no cell is computed twice
+        limits = np.maximum(limits, n0)
         with ThreadPoolExecutor(self._workers) as pool:
             parts = [
                 pool.submit(_generate, a, out[a - n0 : b - n0], *self._arguments)

@@ -21,7 +21,9 @@ from ultratight.tracking.steering import WAVELENGTH_M, new_steering
 PRN, SPACING, CN0_DBHZ, HALF_S = 17, 0.25, 35.0, 0.01
 LAG1 = float(GPS_L1CA.autocorrelation(PRN)[1])
 A2 = 2.0 * 10 ** (CN0_DBHZ / 10.0) * HALF_S
-LOS = LineOfSight(0.02, np.array([[1.0, 0.0, 0.0]]), np.zeros(3), np.eye(3), np.zeros(3))
+LOS = LineOfSight(
+    0.02, np.array([[1.0, 0.0, 0.0]]), np.zeros(3), np.zeros(3), np.eye(3), np.zeros(3)
+)
 
 
 def taps(dr, dv, p=0.0, n_bit=1, noise=False, seed=1):
@@ -161,7 +163,8 @@ def test_projection_is_the_derivative_of_range_and_rate_at_the_middle_of_the_bit
         np.array([0]), np.array([0]), np.array([t_mid]), np.array([HALF_S]),
         np.ones((1, 2, 3), complex), np.zeros(1),
     )  # fmt: skip
-    los = LineOfSight(t, u[None], C @ arm_b, C, C @ force_b)
+    arm_rate = np.array([0.4, -0.2, 0.7])
+    los = LineOfSight(t, u[None], C @ arm_b, arm_rate, C, C @ force_b)
     A = coherent(paired, los, 18, 17, np.ones(1), np.array([LAG1]), SPACING, np.array([A2])).A[0]
     back = t_mid - t
 
@@ -169,8 +172,9 @@ def test_projection_is_the_derivative_of_range_and_rate_at_the_middle_of_the_bit
         """(range, phase, rate) at t_mid of an error state x at t; constant acceleration error."""
         psi = x[6:9]
         accel = np.cross(psi, C @ force_b) - C @ x[9:12]
-        rate = -u @ (x[3:6] + back * accel) + x[16]
-        moved = -u @ (back * x[3:6] + 0.5 * back**2 * accel) + back * x[16]
+        velocity = x[3:6] + np.cross(psi, arm_rate)
+        rate = -u @ (velocity + back * accel) + x[16]
+        moved = -u @ (back * velocity + 0.5 * back**2 * accel) + back * x[16]
         level = -u @ (x[:3] + np.cross(psi, C @ arm_b)) + x[15]
         return np.array([level + moved, x[17] + moved, rate])
 

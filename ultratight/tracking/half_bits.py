@@ -12,6 +12,9 @@ from ultratight.tracking.steering import Steering, mean_known
 
 EARLY, PROMPT, LATE = 0, 1, 2
 """Order of the taps"""
+AMPLITUDE_GAIN = 0.02
+"""Share of each bit in the running A^2: a time constant of 1 s"""
+AMPLITUDE2_FLOOR = 0.5
 
 
 class Bits(NamedTuple):
@@ -32,6 +35,10 @@ class HalfBits:
         self.number = np.full(n_channel, -(10**9), dtype=np.int64)
         self.t_s = np.zeros((n_channel, 2))
         self.iq = np.zeros((n_channel, n_tap), dtype=np.complex128)
+
+    def track(self, bits: Bits, amplitude2: np.ndarray) -> None:
+        """Let A^2 (n_channel,) follow the power of the prompts, bit by bit."""
+        _track_amplitude(bits.channel, bits.iq, amplitude2)
 
     def pair(self, taps: Taps, steering: Steering) -> Bits:
         """Data bits that ended among these dumps, derotated by what is known of the NCO."""
@@ -91,3 +98,12 @@ def _pair_halves(
             out.range_offset_m[n_bit] = mean_known(known_t, known_range[:, i], t0, t2)
             n_bit += 1
     return n_bit
+
+
+@kernel
+def _track_amplitude(channel: np.ndarray, iq: np.ndarray, amplitude2: np.ndarray) -> None:
+    for b in range(channel.size):
+        i = channel[b]
+        power = 0.5 * (abs(iq[b, 0, PROMPT]) ** 2 + abs(iq[b, 1, PROMPT]) ** 2) - 2.0
+        follow = amplitude2[i] + AMPLITUDE_GAIN * (power - amplitude2[i])
+        amplitude2[i] = max(follow, AMPLITUDE2_FLOOR)

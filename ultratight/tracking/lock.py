@@ -43,11 +43,9 @@ class LockMonitor:
         events = []
         if channel.size:
             self.mean_now = float(in_phase.mean())
-            self.indicator[channel] += self.gain * (
-                np.clip(in_phase, -2.0, 2.0) - self.indicator[channel]
-            )
         self.low = self.low + 1 if self.mean_now < LOST_BELOW else 0
-        for i in channel:
+        for i, now in zip(channel, np.clip(in_phase, -2.0, 2.0), strict=True):
+            self.indicator[i] += self.gain * (now - self.indicator[i])
             value = self.indicator[i]
             if self.locked[i] and value < LOST_BELOW:
                 self.locked[i] = False

@@ -42,6 +42,7 @@ class LineOfSight(NamedTuple):
     t_s: float
     u: np.ndarray  # (n_channel, 3) antenna -> satellite
     arm_e: np.ndarray  # (3,) lever arm in ECEF [m]
+    arm_rate_e: np.ndarray  # (3,) velocity of the antenna with respect to the IMU [m/s]
     C_b_e: np.ndarray  # (3, 3)
     force_e: np.ndarray  # (3,) mean specific force in ECEF [m/s2]
 
@@ -118,7 +119,7 @@ def coherent(
     z, R, A = np.empty((nb, 3)), np.zeros((nb, 3, 3)), np.zeros((nb, 3, n_state))
     params = np.empty((nb, 4))
     _build(bits, los, lag1, spacing_chips, params, A, 2)
-    _phase_rows(bits.channel, bits.t_mid_s - los.t_s, phase_start, A)
+    _phase_rows(bits.channel, bits.t_mid_s - los.t_s, los.u, los.arm_e, phase_start, A)
     _z_coherent(bits.iq, bits.channel, data, amplitude2, z, R)
     model = CoherentModel(params)
     return Measurement(z, A, R, model, model.jacobian, bits.channel)
@@ -165,12 +166,13 @@ def _build(
         # error at t_mid from the state at t: y = A Phi(dt) x, gravity gradient left out
         tilt = np.cross(accel, u)  # d/d psi of -u.(psi x f) is -(f x u)
         arm = np.cross(los.arm_e, u)
+        arm_rate = np.cross(los.arm_rate_e, u)
         for k in range(3):
             A[b, 0, k] = -u[k]
             A[b, 0, 3 + k] = -u[k] * dt
-            A[b, 0, 6 + k] = -arm[k] - 0.5 * dt * dt * tilt[k]
+            A[b, 0, 6 + k] = -arm[k] - dt * arm_rate[k] - 0.5 * dt * dt * tilt[k]
             A[b, rate_row, 3 + k] = -u[k]
-            A[b, rate_row, 6 + k] = -dt * tilt[k]
+            A[b, rate_row, 6 + k] = -arm_rate[k] - dt * tilt[k]
             lever = los.C_b_e[0, k] * u[0] + los.C_b_e[1, k] * u[1] + los.C_b_e[2, k] * u[2]
             A[b, 0, 9 + k] = 0.5 * dt * dt * lever
             A[b, rate_row, 9 + k] = dt * lever
@@ -180,14 +182,15 @@ def _build(
 
 
 @kernel
-def _phase_rows(channel: np.ndarray, dt: np.ndarray, phase_start: int, A: np.ndarray) -> None:
+def _phase_rows(
+    channel: np.ndarray, dt: np.ndarray, u: np.ndarray, arm: np.ndarray, first: int, A: np.ndarray
+) -> None:
     """Row 1: the carrier-phase error at t_mid; it moves like the range, without its level."""
     for b in range(channel.size):
-        A[b, 1, 3:6] = A[b, 0, 3:6]
-        # the attitude acts on the phase through the velocity only: half of the rate's share
-        A[b, 1, 6:12] = 0.5 * dt[b] * A[b, 2, 6:12]
+        A[b, 1, 3:12] = A[b, 0, 3:12]
+        A[b, 1, 6:9] += np.cross(arm, u[channel[b]])
         A[b, 1, 16] = dt[b]
-        A[b, 1, phase_start + channel[b]] = 1.0
+        A[b, 1, first + channel[b]] = 1.0
 
 
 @kernel

@@ -20,8 +20,8 @@ from ultratight.ins.earth import gravity
 from ultratight.ins.strapdown import strapdown_step
 
 WAVELENGTH_M = C_MPS / GPS_L1_HZ
-HISTORY_S = 0.08
-"""Length of the memory of commands: two data bits and an epoch [s]"""
+HISTORY_S = 0.06
+"""Commands are remembered for this long and an epoch: a bit may have begun two bits ago [s]"""
 
 
 class Steering(NamedTuple):
@@ -46,9 +46,9 @@ class Steering(NamedTuple):
     known_range: np.ndarray  # (n_memory, n_channel, 4) reference - NCO of the code, cubic [m]
 
 
-def new_steering(n_channel: int, piece_s: float) -> Steering:
+def new_steering(n_channel: int, piece_s: float, epoch_s: float = 0.02) -> Steering:
     """Zeroed arrays for ``n_channel`` channels and commands in pieces of ``piece_s`` seconds."""
-    n_memory = int(np.ceil(HISTORY_S / piece_s))
+    n_memory = int(np.ceil((HISTORY_S + epoch_s) / piece_s))
     z = np.zeros
     return Steering(
         z(3), z(3), np.eye(3), z(3), z(3), z(2), z(3), z(3), np.full(1, piece_s), z((2, 3)),

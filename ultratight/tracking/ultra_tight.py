@@ -20,6 +20,7 @@ from ultratight.tracking.measurements import coherent as coherent_model
 from ultratight.tracking.measurements import differential as differential_model
 from ultratight.tracking.steering import (
     WAVELENGTH_M,
+    antenna,
     feed_back,
     new_steering,
     predict_now,
@@ -27,9 +28,6 @@ from ultratight.tracking.steering import (
 )
 
 HALF_BIT_CHIPS = 10_230
-AMPLITUDE_GAIN = 0.02
-"""Share of each bit in the running A^2: a time constant of 1 s"""
-AMPLITUDE2_FLOOR = 0.5
 HALF_BIT_S = 0.01
 ABSURD_SPEED_MPS = 1e5
 ABSURD_DRIFT_MPS = 1e5
@@ -79,7 +77,7 @@ class UltraTight:
         self.layout = Layout.build()
         self.noise: ProcessNoise = knows.process_noise
         self.cov = knows.initial_covariance()
-        self.steering = new_steering(n, piece_s)
+        self.steering = new_steering(n, piece_s, settings.epoch_s)
         self.half_bits = HalfBits(n, 3)
         self.lag1 = np.array([GPS_L1CA.autocorrelation(int(p))[1] for p in knows.prn])
         self.amplitude2 = 2.0 * 10.0 ** (knows.cn0_dbhz / 10.0) * HALF_BIT_S
@@ -121,7 +119,7 @@ class UltraTight:
         """Weigh what came against what was expected; feed the correction back."""
         bits = self.bits = self.half_bits.pair(taps, self.steering)
         measurement = self._measurement(bits)
-        self._track_amplitude(bits)
+        self.half_bits.track(bits, self.amplitude2)
         prediction = self._prediction()
         n = prediction.phi.shape[0]
         try:
@@ -158,7 +156,7 @@ class UltraTight:
     def _measurement(self, bits: Bits) -> Measurement:
         s, k = self.steering, self.knows
         arm = s.C_b_e @ k.lever_arm_b_m
-        los = LineOfSight(self.t_s, s.u, arm, s.C_b_e, s.C_b_e @ s.mean_force[0])
+        los = LineOfSight(self.t_s, s.u, arm, self._arm_rate(), s.C_b_e, s.C_b_e @ s.mean_force[0])
         shared = (self.lag1, self.spacing_chips, self.amplitude2)
         data = k.bits_of(bits.channel, bits.number)
         if data is not None and bits.channel.size:
@@ -169,22 +167,23 @@ class UltraTight:
             raise ValueError("receiver.knows.data_bits: the coherent model needs them")
         return coherent_model(bits, los, self.layout.n, self.layout.phase.start, data, *shared)
 
-    def _track_amplitude(self, bits: Bits) -> None:
-        power = 0.5 * (np.abs(bits.iq[:, :, PROMPT]) ** 2).sum(axis=1) - 2.0
-        a2 = self.amplitude2
-        a2[bits.channel] += AMPLITUDE_GAIN * (power - a2[bits.channel])
-        np.maximum(a2, AMPLITUDE2_FLOOR, out=a2)
-
     def _prediction(self) -> Prediction:
         s = self.steering
         phi, q = transition(
-            self.layout, self.noise, s.r_eb_e, s.C_b_e, s.mean_force[0], s.u, self.settings.epoch_s
-        )
+            self.layout, self.noise, s.r_eb_e, s.C_b_e, s.mean_force[0], s.u,
+            self.settings.epoch_s, self._arm_rate(),
+        )  # fmt: skip
         return Prediction(
             phi, q, self.t_s, self.epoch, self.settings.epoch_s, s.mean_force[0].copy(),
             s.mean_force[0] - s.mean_force[1] if self.epoch else np.zeros(3),
             s.C_b_e.copy(), self.layout, self.n_channel,
         )  # fmt: skip
+
+    def _arm_rate(self) -> np.ndarray:
+        """Velocity of the antenna with respect to the IMU (3,), ECEF."""
+        if not self.knows.lever_arm_b_m.any():
+            return np.zeros(3)
+        return antenna(self.steering, self.knows.lever_arm_b_m)[1] - self.steering.v_eb_e
 
     def _feed_back(self, x: np.ndarray, phase_m: np.ndarray) -> None:
         k = self.knows
