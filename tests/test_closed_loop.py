@@ -177,7 +177,7 @@ def test_lever_arm_in_a_turn_leaves_the_errors_as_they_were():
         assert error[run.t_s > 9.0].max() < 0.15  # 3 m x 20 deg/s = 1.05 m/s
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @pytest.mark.parametrize("measurement", ["coherent", "differential"])
 def test_twenty_seeds_of_jump_1(measurement):
     """Specification 10.7: QKF at most 6 of 20, FIQKF-R at least 18 of 20, no fall-back."""
@@ -196,7 +196,7 @@ def test_twenty_seeds_of_jump_1(measurement):
         assert 0.07 < jump["fiqkf-r"] < 0.20
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_samples_agree_with_the_closed_form():
     """Three seeds: the same in kind, jump r.m.s. of FIQKF-R within 30 %."""
     for seed in (1, 2, 3):
@@ -215,7 +215,7 @@ def test_a_matched_imu_feels_no_jump_in_samples():
     assert run.summary["velocity_rms_mps"]["jump"] < 0.03
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @pytest.mark.parametrize("measurement", ["coherent", "differential"])
 def test_consistency_over_a_hundred_runs(measurement):
     """Specification 10.1: mean NEES17/17 at 5, 20, 50 s in [0.9, 1.1], NIS/m in [0.97, 1.02]."""
