@@ -7,12 +7,12 @@ PY := $(VENV)/bin/python
 STAMP := $(VENV)/.installed
 
 help:
-	@echo "make run     fly the velocity jump with three filters; figure and results in results/"
-	@echo "make test    lint, types, layers and all tests"
+	@echo "make run       fly the velocity jump with three filters; figure and results in results/"
+	@echo "make test      lint, types, layers and all tests"
 	@echo "make campaign  the tests with many seeds (some twenty minutes)"
-	@echo "make lint    lint, types and layers only"
-	@echo "make format  format the sources"
-	@echo "make clean   remove the virtual environment, caches and builds"
+	@echo "make lint      lint, types and layers only"
+	@echo "make format    format the sources"
+	@echo "make clean     remove the virtual environment, caches and builds"
 
 # The stamp is older than pyproject.toml when the dependencies may have changed.
 $(STAMP): pyproject.toml

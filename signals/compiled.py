@@ -9,14 +9,19 @@ from __future__ import annotations
 
 import hashlib
 import os
+import shutil
 import sys
 import tempfile
+import time
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numba
+
+KEEP_S = 30 * 86_400
+"""Age at which the cache of other sources goes"""
 
 FAST_SUM = {"reassoc", "contract", "arcp", "nsz"}
 """The only fast-math flags in use: sums may be reordered; NaN and inf keep their meaning."""
@@ -47,11 +52,22 @@ def _cache_dir(package: str) -> str | None:
             digest.update(source.read_bytes())
     folder = _cache_root() / digest.hexdigest()[:16]
     try:
+        if not folder.exists():
+            _prune(folder.parent)
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             return str(folder)
     except OSError:
         return None
+
+
+def _prune(root: Path) -> None:
+    """Remove caches of other sources that have not been written to for a month."""
+    if root.name != "ultratight" or not root.is_dir():
+        return  # a folder that somebody named: not ours alone
+    for other in root.iterdir():
+        if len(other.name) == 16 and time.time() - other.stat().st_mtime > KEEP_S:
+            shutil.rmtree(other, ignore_errors=True)
 
 
 def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
