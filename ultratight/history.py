@@ -78,8 +78,9 @@ def truth_variables(world: World, t_s: np.ndarray) -> dict[str, Variable]:
     """The truth at receiver times t_s, beside the estimates."""
     t_true = world.true_time(t_s)
     motion = world.trajectory.at(t_true)
-    clock_m = np.interp(t_s, world.t_s, world.clock_m)
-    clock_rate = np.interp(t_s, world.t_s, world.clock_rate_mps)
+    clock_m = np.interp(t_s, world.t_s, world.clock.clock_m)
+    # the state, not the slope between nodes, which white frequency noise makes rough
+    clock_rate = np.interp(t_s, world.t_s, world.clock.drift_mps)
     r, v = world.antenna(t_s)
     n = world.prn.size
     imu, sensors = world.imu

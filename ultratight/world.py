@@ -94,7 +94,7 @@ class World:
         self.oscillator = oscillator("clock.model", c.model)
         # at the middles: the force steps at nodes
         force = self.trajectory.specific_force(self.t_s[:-1] + 0.5 * NODE_S)[:, 0]
-        self.clock_m, self.clock_rate_mps = clock.simulate(
+        self.clock = clock.simulate(
             self.oscillator,
             self.t_s,
             generator(self.seed, "clock"),
@@ -102,7 +102,7 @@ class World:
             c.drift_mps,
             c.g_sensitivity_ppb_per_g,
             force,
-        )[:2]
+        )
 
     def _choose_satellites(self) -> None:
         s = self.scenario
@@ -134,8 +134,8 @@ class World:
 
     def true_time(self, t_s: np.ndarray) -> np.ndarray:
         """GPS time since the nominal start, at receiver times [s]."""
-        late = np.minimum(t_s, 0.0) * self.clock_rate_mps[0]
-        return t_s - (np.interp(t_s, self.t_s, self.clock_m) + late) / C_MPS
+        late = np.minimum(t_s, 0.0) * self.clock.clock_rate_mps[0]
+        return t_s - (np.interp(t_s, self.t_s, self.clock.clock_m) + late) / C_MPS
 
     def antenna(self, t_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """True antenna position and velocity (n, 3) at receiver times [m, m/s]."""
@@ -158,8 +158,8 @@ class World:
             self.t_s,
             r,
             v,
-            self.clock_m,
-            self.clock_rate_mps,
+            self.clock.clock_m,
+            self.clock.clock_rate_mps,
             self._cn0_dbhz(),
             symbols,
             first,
@@ -246,8 +246,8 @@ class World:
         r = m.r_eb_e[0] - k.position_sigma_m * rng.standard_normal(3)
         v = m.v_eb_e[0] - k.velocity_sigma_mps * rng.standard_normal(3)
         psi = rotation_e_from_n(lat, lon) @ (rng.standard_normal(3) * [tilt, tilt, heading])
-        clock_m = self.clock_m[0] - k.clock_sigma_m * rng.standard_normal()
-        rate = self.clock_rate_mps[0] - k.clock_rate_sigma_mps * rng.standard_normal()
+        clock_m = self.clock.clock_m[0] - k.clock_sigma_m * rng.standard_normal()
+        rate = self.clock.drift_mps[0] - k.clock_rate_sigma_mps * rng.standard_normal()
         e = self.errors
         sigma = np.repeat(
             [

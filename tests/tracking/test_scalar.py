@@ -353,7 +353,7 @@ def test_position_and_velocity_of_a_flight():
     # DLL 1 Hz at 35 dB-Hz: 2.6 m per satellite, times a PDOP of 2 (10 satellites)
     assert np.linalg.norm(history.rows["r_eb_e"][settled] - r, axis=1).max() < 4.0 * 2.6 * 2.0
     assert np.linalg.norm(history.rows["v_eb_e"][settled] - v, axis=1).max() < 0.5
-    assert np.abs(history.rows["clock_rate"][settled] - world.clock_rate_mps[0]).max() < 2.0
+    assert np.abs(history.rows["clock_rate"][settled] - world.clock.drift_mps[0]).max() < 2.0
     snapshot = receiver.snapshot()
     assert {a.shape for a in snapshot.values()} == {world.prn.shape}
 

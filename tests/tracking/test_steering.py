@@ -35,7 +35,7 @@ def perfect_state(world, t_s):
     motion = world.trajectory.at(world.true_time(np.array([t_s])))
     s.r_eb_e[:], s.v_eb_e[:], s.C_b_e[:] = motion.r_eb_e[0], motion.v_eb_e[0], motion.C_b_e[0]
     node = round(t_s / 0.005)
-    s.clock[:] = world.clock_m[node], world.clock_rate_mps[node]
+    s.clock[:] = world.clock.clock_m[node], world.clock.clock_rate_mps[node]
     imu = world.imu[0]
     s.last_alpha[:], s.last_nu[:] = imu.alpha_ib_b[node], imu.nu_ib_b[node]
     predict_now(s, world.elements, world.scenario.start_tow_s + t_s, world.lever_arm_b_m)
