@@ -29,9 +29,9 @@ from ultratight.tracking.steering import (
 
 HALF_BIT_CHIPS = 10_230
 HALF_BIT_S = 0.01
-ABSURD_SPEED_MPS = 1e5
-ABSURD_DRIFT_MPS = 1e5
-"""0.3 per mille of the speed of light: no oscillator is that far off"""
+ABSURD_SPEED_MPS = 2e4
+ABSURD_DRIFT_MPS = 4e4
+"""Beyond what a scenario may ask for: an estimate there has nothing to do with a receiver"""
 N_STATE = 17
 STATES = "covariance of r, v, psi, accel bias, gyro bias, clock bias, clock drift (ECEF)"
 UNITS = "products of m, m/s, rad, m/s2, rad/s, m, m/s"
