@@ -86,12 +86,7 @@ class SampleCorrelator:
         for p, (first, end) in enumerate(zip(edge[:-1], edge[1:], strict=True)):
             for a in range(first, end, _BLOCK):
                 self._run(a, min(a + _BLOCK, end), p, nco, rows)
-        whole, real, iq, count = rows
-        done = np.arange(whole.shape[1]) < count[:, None]
-        channel = np.nonzero(done)[0]
-        r = real[done].T / np.array([fs, fs, 1.0, 1.0, 1.0, 1.0])[:, None]
-        ones = np.ones(channel.size)
-        return Taps(channel, whole[done], r[0], r[1], iq[done], ones, r[2], r[3], r[4], r[5])
+        return _taps(*rows, fs)
 
     def _rows(self, nco: Nco) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Room for every integration that can end: index, phases, iq, and their count."""
@@ -196,10 +191,12 @@ def _wipe(
 def _sum_tap(wi: np.ndarray, wq: np.ndarray, base: Any, step: Any, table: np.ndarray) -> Any:
     """Sum of wi, wq (n,) times the code."""
     si, sq = _F(0.0), _F(0.0)
+    code = base  # a running sum, as LLVM has no fast 64-bit product
     for j in range(wi.shape[0]):
-        chip = table[(base + np.uint64(j) * step) >> _32]
+        chip = table[code >> _32]
         si += wi[j] * chip
         sq += wq[j] * chip
+        code += step
     return si, sq
 
 
@@ -256,6 +253,25 @@ def _finish(
     for k in range(sums.shape[1]):
         iq[channel, row, k] = complex(sums[channel, k, 0] * scale, sums[channel, k, 1] * scale)
     count[channel] = row + 1
+
+
+@kernel
+def _taps(
+    whole: np.ndarray, real: np.ndarray, iq: np.ndarray, count: np.ndarray, fs: float
+) -> Taps:
+    """Rows of all channels, one after the other."""
+    n = count.sum()
+    channel, number = np.empty(n, np.int64), np.empty(n, np.int64)
+    taps, r = np.empty((n, iq.shape[2]), np.complex128), np.empty((6, n))
+    k = 0
+    for c in range(count.size):
+        for row in range(count[c]):
+            channel[k], number[k] = c, whole[c, row]
+            taps[k] = iq[c, row]
+            r[:, k] = real[c, row]
+            k += 1
+    r[:2] /= fs
+    return Taps(channel, number, r[0], r[1], taps, np.ones(n), r[2], r[3], r[4], r[5])
 
 
 @kernel

@@ -121,11 +121,20 @@ def test_symbols_change_at_the_sample():
 
 def test_same_bits_for_any_block_and_threads():
     state = truth([-900.0, 2500.0])
-    source = SyntheticIf(state, chips(2), FS, 5)
-    whole = source.samples(0, 80_000)
+    whole = SyntheticIf(state, chips(2), FS, 5).samples(0, 80_000)
     cuts = [0, 1, 1023, 1024, 1025, 20_000, 47_111, 80_000]
-    parts = [source.samples(a, b) for a, b in zip(cuts[:-1], cuts[1:], strict=True)]
-    np.testing.assert_array_equal(np.concatenate(parts), whole)
+    blocks = list(zip(cuts[:-1], cuts[1:], strict=True))
+    for a, b in blocks:  # each as the first that is asked for
+        alone = SyntheticIf(state, chips(2), FS, 5).samples(a, b)
+        np.testing.assert_array_equal(alone, whole[a:b])
+    source = SyntheticIf(state, chips(2), FS, 5)
+    again = [(500, 1100), (47_000, 70_000), (10, 20), (69_000, 69_100), (79_000, 80_000)]
+    for a, b in (
+        blocks + blocks[::-1] + again
+    ):  # one after the other, backwards, across what is kept
+        block = source.samples(a, b)
+        np.testing.assert_array_equal(block, whole[a:b])
+        block[:] = 0  # the caller's own
     threads = SyntheticIf(state, chips(2), FS, 5, workers=3)
     np.testing.assert_array_equal(threads.samples(333, 70_001), whole[333:70_001])
     other = SyntheticIf(state, chips(2), FS, 6).samples(0, 80_000)
