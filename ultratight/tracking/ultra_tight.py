@@ -127,6 +127,11 @@ class UltraTight:
         except np.linalg.LinAlgError as error:
             self._give_up(f"covariance: {error}")
             return
+        if not isinstance(u, Update):
+            raise TypeError(
+                f"{type(self.filter).__name__}.step gave {type(u).__name__}, expected an "
+                "ultratight.filters.gaussian.Update"
+            )
         if not (np.isfinite(u.mean).all() and np.isfinite(u.cov).all()):
             self._give_up("the filter's estimate is not finite")
             return
