@@ -10,6 +10,7 @@ from signals.codes import GPS_L1CA
 from signals.correlator import SampleCorrelator
 from signals.recording import Recording
 from ultratight import metrics
+from ultratight.filters.catalog import make_filter
 from ultratight.filters.gaussian import predict, update
 from ultratight.filters.rules import get_rule
 from ultratight.ins.imu import Increments
@@ -207,6 +208,32 @@ def test_samples_agree_with_the_closed_form():
             if name == "fiqkf-r":
                 ratio = sampled["velocity_rms_mps"]["jump"] / model["velocity_rms_mps"]["jump"]
                 assert 0.7 < ratio < 1.3
+
+
+@pytest.mark.parametrize("measurement", ["coherent", "differential"])
+def test_each_component_of_the_innovation_is_as_wide_as_said(measurement):
+    """Specification 10.2: NIS of I, Q and S, each 0.95 to 1.03 in uniform motion (after 5 s)."""
+
+    class Listener:
+        def __init__(self):
+            self.filter, self.sum, self.n = make_filter("qkf"), np.zeros(3), 0
+
+        def reset(self):
+            self.filter.reset()
+
+        def step(self, state, prediction, measurement):
+            update = self.filter.step(state, prediction, measurement)
+            if prediction.t_s > 5.0 and measurement.z.size:
+                share = (update.innovation**2 / np.diag(update.S)).reshape(-1, 3)
+                self.sum += share.sum(axis=0)
+                self.n += len(share)
+            return update
+
+    listener = Listener()
+    chosen = scenario("uniform", "qkf", **MATCHED, **{"receiver.measurement": measurement})
+    ultratight.run(chosen, 2, filter=listener)
+    component = listener.sum / listener.n
+    assert np.all((component > 0.95) & (component < 1.03)), component
 
 
 @pytest.mark.slow
