@@ -67,6 +67,26 @@ def test_prompt_of_the_named_channel_is_drawn(runs: list[Run]) -> None:
         plots.channel_iq(runs[0], Figure().subplots(), "G01:L1CA")
 
 
+def test_prompts_of_the_rows_stand_in_for_dumps(runs: list[Run]) -> None:
+    prompts = np.random.default_rng(4).standard_normal((2, runs[0].t_s.size, 3))
+    for name in ("dump_channel", "dump_end", "tap_i", "tap_q"):
+        del runs[0].variables[name]
+    for name, values in zip(("prompt_i", "prompt_q"), prompts, strict=True):
+        runs[0].variables[name] = Variable(values, ("t", "channel"), "1", name)
+    page = plots.figure(runs[:1], channel="G30:L1CA")
+    ax = next(ax for ax in page.axes if "prompt" in ax.get_ylabel())
+    for line, values in zip(ax.lines, prompts, strict=True):
+        np.testing.assert_array_equal(line.get_xdata(), runs[0].t_s)
+        np.testing.assert_array_equal(line.get_ydata(), values[:, 2])
+
+
+def test_a_channel_that_pulls_in_is_not_in_lock_before(runs: list[Run]) -> None:
+    runs[0].events[1:1] = [Event(0.5, "G07:L1CA", plots.LOCKED, "phase lock indicator 0.7")]
+    ax = plots.lock_events(runs[:1], Figure().subplots())
+    spans = [tuple(line.get_xdata()) for line in ax.lines if len(line.get_xdata()) == 2]
+    assert spans == [(0.0, 10.0), (0.5, 4.0), (7.0, 10.0), (0.0, 10.0)]
+
+
 def test_a_channel_out_of_lock_leaves_a_gap(runs: list[Run]) -> None:
     ax = plots.lock_events(runs[:1], Figure().subplots())
     spans = [tuple(line.get_xdata()) for line in ax.lines if len(line.get_xdata()) == 2]

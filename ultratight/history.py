@@ -1,4 +1,8 @@
-"""What is kept of a run: a row per epoch of what the receiver had, every dump, and the truth."""
+"""What is kept of a run: a row per epoch of what the receiver had, its dumps, and the truth.
+
+Dumps are kept unless the rows have the prompts (``prompt_i``, ``prompt_q``) of whole data bits, as
+those of the scalar closures do: their 1 ms dumps would be ten times as much as all the rest.
+"""
 
 from __future__ import annotations
 
@@ -29,13 +33,14 @@ class History:
         self.rows = {
             name: np.full((n, *shape), np.nan) for name, (shape, _, _, _) in self.fields.items()
         }
+        self.keeps_dumps = "prompt_i" not in self.fields
         self.taps: list[Taps] = []
         self.nco_freq: np.ndarray | None = None
         self.nco_code: np.ndarray | None = None
 
     def record(self, k: int, closure: Any, nco: Nco, taps: Taps) -> None:
         """Keep epoch k; rows of epochs that are never reached stay NaN."""
-        if taps.channel.size:
+        if self.keeps_dumps and taps.channel.size:
             self.taps.append(taps)
         if (k + 1) % self.every:
             return

@@ -16,8 +16,8 @@ from ultratight.results import Run
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 STYLES = ("-", "--", "-.", ":")
-LOST, REGAINED = "loss of lock", "lock regained"
-"""Kinds of event"""
+LOST, REGAINED, LOCKED = "loss of lock", "lock regained", "phase lock"
+"""Kinds of event; a scalar closure has no lock at the start, hence a word of its own"""
 FLOOR_MPS = 1e-5
 """Smallest error that a logarithmic axis shows"""
 
@@ -55,12 +55,15 @@ def velocity_error(
 
 
 def channel_iq(run: Run, ax: Axes, channel: str) -> Axes:
-    """Prompt I and Q of one channel, every dump, in standard deviations of the noise."""
-    mine = run["dump_channel"] == _index(run, channel)
-    t, prompt = run["dump_end"][mine], run["tap_i"].shape[1] // 2
-    for name, colour in (("tap_i", COLOURS[0]), ("tap_q", COLOURS[1])):
-        text = "I" if name == "tap_i" else "Q"
-        ax.plot(t, run[name][mine, prompt], ".", markersize=1.5, color=colour, label=text)
+    """Prompt I and Q of one channel, of every dump or else row, in standard deviations of noise."""
+    i = _index(run, channel)
+    if "tap_i" in run:
+        mine, prompt = run["dump_channel"] == i, run["tap_i"].shape[1] // 2
+        t, prompts = run["dump_end"][mine], [run[tap][mine, prompt] for tap in ("tap_i", "tap_q")]
+    else:
+        t, prompts = run.t_s, [run["prompt_i"][:, i], run["prompt_q"][:, i]]
+    for values, colour, text in zip(prompts, COLOURS, "IQ", strict=False):
+        ax.plot(t, values, ".", markersize=1.5, color=colour, label=text)
     ax.set_ylabel(f"{channel} prompt\n({label(run)}) [noise s.d.]")
     ax.legend(loc="upper right", fontsize="small", markerscale=5.0, framealpha=1.0)
     return _time_axis(ax, run)
@@ -113,10 +116,11 @@ def figure(
     """
     first = runs[0]
     channel = channel or _telling_channel(first)
+    has_prompts = "tap_i" in first or "prompt_i" in first
     rows = [
         lambda ax: speed(first, ax),
         lambda ax: velocity_error(runs, ax, labels, controls),
-        *([lambda ax: channel_iq(first, ax, channel)] if "tap_i" in first else []),
+        *([lambda ax: channel_iq(first, ax, channel)] if has_prompts else []),
         *([lambda ax: cn0(first, ax, channel)] if "cn0" in first else []),
         lambda ax: lock_events(runs, ax, labels),
     ]
@@ -175,15 +179,15 @@ def _telling_channel(run: Run) -> str:
 
 
 def _locked(run: Run, channel: str) -> list[tuple[float, float]]:
-    """Spans (start, stop) in which the channel is in lock; it starts in lock."""
-    spans, since = [], 0.0 if run.t_s.size else None
-    for event in run.events:
-        if event.channel != channel:
-            continue
+    """Spans (start, stop) in which the channel is in lock; without a first lock it starts so."""
+    mine = [e for e in run.events if e.channel == channel and e.kind in (LOST, REGAINED, LOCKED)]
+    starts_so = run.t_s.size and not (mine and mine[0].kind == LOCKED)
+    spans, since = [], 0.0 if starts_so else None
+    for event in mine:
         if event.kind == LOST and since is not None:
             spans.append((since, event.t_s))
             since = None
-        elif event.kind == REGAINED and since is None:
+        elif event.kind != LOST and since is None:
             since = event.t_s
     if since is not None:
         spans.append((since, float(run.t_s[-1])))

@@ -129,9 +129,8 @@ def test_same_bits_for_any_block_and_threads():
         np.testing.assert_array_equal(alone, whole[a:b])
     source = SyntheticIf(state, chips(2), FS, 5)
     again = [(500, 1100), (47_000, 70_000), (10, 20), (69_000, 69_100), (79_000, 80_000)]
-    for a, b in (
-        blocks + blocks[::-1] + again
-    ):  # one after the other, backwards, across what is kept
+    # one after the other, backwards, across what is kept
+    for a, b in blocks + blocks[::-1] + again:
         block = source.samples(a, b)
         np.testing.assert_array_equal(block, whole[a:b])
         block[:] = 0  # the caller's own
