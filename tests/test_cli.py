@@ -92,6 +92,8 @@ BAD_VALUES = {
     "number for a table": (["clock=3"], "clock: 3 given, expected a table of keys"),
     "short list": (["imu.lever_arm_b_m=[1, 2]"], "imu.lever_arm_b_m: [1, 2] given, expected 3"),
     "long list": (["position_lla_deg_m=[1, 2, 3, 4]"], "[1, 2, 3, 4] given, expected 3 values"),
+    "number for a list": (["imu.lever_arm_b_m=1"], "1 given, expected a list of 3 numbers"),
+    "short duration": (["duration_s=3"], "duration_s = 3 (no profile at all: --set 'profile=[]')"),
     "unknown key": (["imu.lags_s=1"], "imu.lags_s: unknown key, did you mean lag_s?"),
     "unknown table": (["antenna.gain_db=1"], "antenna: unknown key, expected one of name, title"),
     "unknown word": (["receiver.closure=loose"], 'receiver.closure: "loose" given, expected one'),
@@ -163,8 +165,11 @@ def test_a_bad_file_is_named(say: Callable[..., Said], tmp_path: Path, kind: str
 @pytest.mark.parametrize(
     ("changes", "expected"),
     [
-        (["start_week=2200"], "constellation: "),  # a day without ephemerides
-        (["mask_deg=60"], "expected at least 4"),
+        (
+            ["start_week=2200"],
+            'constellation = "nominal-24", or --nav',
+        ),  # a day without ephemerides
+        (["mask_deg=60"], "satellites of embedded at or above 60 deg"),
         (["prns=[7, 8]"], "expected at least 4"),
     ],
 )

@@ -83,7 +83,8 @@ def test_extends_merges_tables_and_replaces_lists(tmp_path: Path) -> None:
         'extends = "base.toml"\n[[profile]]\nt0_s = 1\nt1_s = 2\naccel0_mps2 = 5\naccel1_mps2 = 6\n'
     )
     s = load(top, {"cn0_dbhz": 40})
-    assert (s.name, s.title) == ("top", "mine")
+    assert (load(top.with_name("base.toml")).title, s.name) == ("mine", "top")
+    assert (load(top).title, s.title) == ("base, changed", "top, changed: cn0_dbhz")
     assert (s.imu.lag_s, s.imu.accel_scale_factor_ppm) == (0.01, (3000.0, 0.0, 0.0))
     assert s.receiver.knows.tilt_sigma_mrad == 9.0
     assert [g.accel1_mps2 for g in s.profile] == [6.0]
@@ -133,6 +134,56 @@ def test_digest_is_stable_and_sees_every_change() -> None:
     changes = ["cn0_dbhz=35.5", "imu.lag_s=0", "receiver.knows.cn0_sigma_db=2", "prns=[7,8,16,27]"]
     digests = {load("jump-1", [change]).digest() for change in changes}
     assert len(digests | {base.digest()}) == len(changes) + 1
+
+
+def test_a_navigation_file_counts_by_its_content(tmp_path: Path) -> None:
+    digests = []
+    for folder, content in (("a", "one"), ("b", "one"), ("a", "two")):
+        path = tmp_path / folder / f"brdc-{folder}.nav"
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(content)
+        digests.append(load("jump-1", {"constellation": str(path)}).digest())
+    assert digests[0] == digests[1] != digests[2]
+    # FIPS 180: printf two | sha256sum
+    assert load("jump-1", {"constellation": str(path)}).navigation_sha256() == (
+        "3fc4ccfe745870e2c0d99f71f30ff0656c8dedd41cc1d7d3d376b0dbe685e2f3"
+    )
+    assert load("jump-1").navigation_sha256() is None
+
+
+def test_another_world_does_not_keep_title_and_reason(tmp_path: Path) -> None:
+    changed = load("jump-1", ["imu.lag_s=0", "profile=[]", "receiver.filter=kf"])
+    assert (changed.title, changed.why) == ("jump-1, changed: imu, profile", "")
+    assert load("jump-1").replace(["cn0_dbhz=40"]).title == "jump-1, changed: cn0_dbhz"
+    for same in (["receiver.filter=kf"], ["cn0_dbhz=35"]):
+        assert load("jump-1", same).title == load("jump-1").title
+    assert load("jump-1", {"profile": [], "title": "flat"}).title == "flat"
+    path = tmp_path / "mine.toml"
+    path.write_text('extends = "jump-2"\nprofile = []\n')
+    assert (load(path).title, load(path).why) == ("jump-2, changed", "")
+
+
+def test_a_printed_scenario_shows_every_key() -> None:
+    text = load("jump-1").to_toml()
+    for key in config.keys(Scenario):
+        leaf = key.name.rpartition(".")[2]
+        assert (
+            f"\n{leaf} = " in f"\n{text}" or f"\n# {leaf} = ..." in text or f"{key.name}]" in text
+        )
+    assert "# saturation_g = ...  # " in text
+
+
+def test_keys_are_described_as_they_are() -> None:
+    described = {key.name: key for key in config.keys(Scenario)}
+    lag = described["imu.lag_s"]
+    assert lag[1:4] == ("s", "number 0 to 1", "left out")
+    assert described["imu.lever_arm_b_m"][1:4] == ("m", "[number] x 3", "[0.0, 0.0, 0.0]")
+    assert described["receiver.epoch_s"][1:4] == ("s", "number 0.001 to 1", "0.02")
+    assert described["imu.velocity_random_walk_mps_sqrt_s"].unit == "m/s/sqrt(s)"
+    assert described["duration_s"].default == "required"
+    assert described["duration_s"].expected == "number more than 0 and 86400 or less"
+    assert described["profile.t1_s"].expected == "number more than 0"
+    assert described["correlator.kind"].expected == "model or samples"
 
 
 def test_overrides_are_toml_values_or_bare_words() -> None:

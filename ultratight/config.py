@@ -6,9 +6,9 @@ import difflib
 import json
 import re
 import tomllib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Union, get_args, get_origin
+from typing import Any, Literal, NamedTuple, Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
@@ -120,7 +120,8 @@ def resolved(
     """The merged tree of a preset or TOML file and of all that it ``extends``.
 
     ``relative_to(folder, tree)`` turns file names inside a tree into paths.  A file without
-    ``name`` is named after itself.  `InvalidInput` for a cycle or a name that means nothing.
+    ``name`` is named after itself, and title and reason of what it extends are not its own.
+    `InvalidInput` for a cycle or a name that means nothing.
     """
     path = Path(name)
     if name in presets:
@@ -142,6 +143,7 @@ def resolved(
         raise InvalidInput(f"{name}: extends: {show(base)} given, expected a preset or a TOML file")
     if base not in presets:
         base = str(path.parent / base)
+    tree = {"title": f"{Path(base).name.removesuffix('.toml')}, changed", "why": ""} | tree
     return merge(resolved(base, presets, preset_text, relative_to, (*below, key)), tree)
 
 
@@ -162,18 +164,94 @@ def _key(name: str) -> str:
     return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name)
 
 
-def write_toml(tree: Mapping[str, Any], prefix: str = "") -> str:
-    """A nested dict as TOML text; keys that are None are left out."""
+def write_toml(
+    tree: Mapping[str, Any], prefix: str = "", notes: Mapping[str, str] | None = None
+) -> str:
+    """A nested dict as TOML text; keys that are None are left out.
+
+    ``notes`` (dotted key -> meaning) become comments, and keys that are None with them.
+    """
     lines, tables = [], []
     for name, value in tree.items():
         path = f"{prefix}{_key(name)}"
+        note = f"  # {notes[path]}" if notes and notes.get(path) else ""
         if isinstance(value, Mapping):
-            tables.append(f"\n[{path}]\n" + write_toml(value, f"{path}."))
+            tables.append(f"\n[{path}]{note}\n" + write_toml(value, f"{path}.", notes))
         elif isinstance(value, list | tuple) and value and isinstance(value[0], Mapping):
-            tables.extend(f"\n[[{path}]]\n" + write_toml(item, f"{path}.") for item in value)
+            for i, item in enumerate(value):  # notes once are enough
+                body = write_toml(item, f"{path}.", None if i else notes)
+                tables.append(f"\n[[{path}]]{'' if i else note}\n{body}")
         elif value is not None:
-            lines.append(f"{_key(name)} = {_toml_value(value)}\n")
+            lines.append(f"{_key(name)} = {_toml_value(value)}{note}\n")
+        elif notes is not None:
+            lines.append(f"# {_key(name)} = ...{note}\n")
     return "".join(lines + tables)
+
+
+# -- what keys there are --------------------------------------------------------------------------
+
+_UNITS = {
+    "_mps_sqrt_s": "m/s/sqrt(s)", "_rad_sqrt_s": "rad/sqrt(s)", "_lla_deg_m": "deg, deg, m",
+    "_ppb_per_g": "ppb/g", "_deg_h_g": "deg/h/g", "_deg_h": "deg/h", "_deg_s": "deg/s",
+    "_mps2": "m/s2", "_mps": "m/s", "_s_db": "s, dB", "_dbhz": "dB-Hz", "_db": "dB",
+    "_mrad": "mrad", "_chips": "chips", "_ppm": "ppm", "_deg": "deg", "_hz": "Hz", "_mg": "mg",
+    "_ug": "ug", "_g": "g", "_m": "m", "_s": "s",
+}  # fmt: skip
+"""Endings of keys, longer ones first"""
+_KINDS = {bool: "true or false", int: "whole number", float: "number", str: "text"}
+
+
+class Key(NamedTuple):
+    """A key in words; a table has neither unit nor default."""
+
+    name: str
+    unit: str
+    expected: str
+    default: str
+    meaning: str
+
+
+def keys(model: type[BaseModel], prefix: str = "") -> Iterator[Key]:
+    """Every key of a model and of its tables, in the order of their definition."""
+    for name, field in model.model_fields.items():
+        inner = _models(field.annotation)
+        text = field.description or (inner[0].__doc__ if inner else "") or ""
+        meaning = " ".join(text.replace("``", "").split()).removesuffix(".")
+        if inner:
+            yield Key(prefix + name, "", "table", "", meaning)
+            yield from keys(inner[0], f"{prefix}{name}.")
+            continue
+        unit = next((u for ending, u in _UNITS.items() if name.endswith(ending)), "")
+        default = "required" if field.is_required() else show(field.default)
+        if field.default is None:
+            default = "left out"
+        expected = _expected(field.annotation, field.metadata)
+        yield Key(prefix + name, unit, expected, default, meaning)
+
+
+def _expected(annotation: Any, metadata: Sequence[Any] = ()) -> str:
+    """What a value must be: a kind, with bounds where there are some."""
+    arguments = get_args(annotation)
+    if type(None) in arguments:
+        return _expected(next(a for a in arguments if a is not type(None)), metadata)
+    if hasattr(annotation, "__metadata__"):
+        inner, *more = arguments
+        return _expected(inner, [m for x in more for m in getattr(x, "metadata", None) or [x]])
+    if get_origin(annotation) is Literal:
+        return ", ".join(arguments[:-1]) + " or " + arguments[-1]
+    if get_origin(annotation) is dict:
+        return f"table of {_expected(arguments[1])}"
+    if get_origin(annotation) is tuple:
+        each = [_expected(a) for a in arguments if a is not Ellipsis]
+        if Ellipsis in arguments:
+            return f"list of {each[0]}"
+        return f"[{each[0]}] x {len(each)}" if len(set(each)) == 1 else f"[{'; '.join(each)}]"
+    limits = {s: v for m in metadata for s in _SHORT if (v := getattr(m, s, None)) is not None}
+    kind = _KINDS.get(annotation, "value")
+    if set(limits) == {"ge", "le"}:
+        return "{} {ge:g} to {le:g}".format(kind, **limits)
+    bounds = [_BOUNDS[_SHORT[short]].format(**limits) for short in limits]
+    return " ".join([kind, " and ".join(bounds)]).strip()
 
 
 # -- what to say ----------------------------------------------------------------------------------
@@ -192,6 +270,9 @@ _PLAIN_TYPES = {
     "tuple_type": "a list in square brackets",
     "is_instance_of": "a table of keys",
 }
+_SHORT = {
+    "gt": "greater_than", "ge": "greater_than_equal", "lt": "less_than", "le": "less_than_equal"
+}  # fmt: skip
 _BOUNDS = {
     "greater_than": "more than {gt:g}",
     "greater_than_equal": "{ge:g} or more",
@@ -274,6 +355,8 @@ def _problem(model: type[BaseModel], error: Mapping[str, Any]) -> str:
         expected = "one of " + context["expected"].replace("'", '"')
     elif kind in _BOUNDS:
         expected = _BOUNDS[kind].format(**context)
+    elif kind == "tuple_type" and (length := _tuple_length(model, location)):
+        expected = f"a list of {length} numbers"
     else:
         expected = _PLAIN_TYPES.get(kind, error["msg"])
     return f"{dotted(location)}: {show(given)} given, expected {expected}"

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Mapping
 from fractions import Fraction
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from signals.constants import CA_CHIP_RATE_HZ
 from ultratight import config
@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 Found = list[tuple[tuple[str, ...], str]]
 """Keys concerned, and the line that says what is wrong"""
+ROW_S = 0.02
+"""Scalar closures keep a row this often"""
 SPEED_LIMIT_MPS = 12_000.0
 """No vehicle of ours is faster than escape velocity"""
 
@@ -37,17 +39,20 @@ def contradictions(s: Scenario) -> Found:
             f"{front_end.if_hz:g}",
             f"less than half the sample rate ({rate / 2:g}) in magnitude",
         )
-    if not _is_multiple(s.duration_s, epoch):
+    tight = receiver.closure == "ultra-tight"
+    if not tight and not _is_multiple(s.duration_s, ROW_S):
+        refuse("duration_s", f"{s.duration_s:g}", f"a multiple of {ROW_S:g} s, a data bit")
+    if tight and not _is_multiple(s.duration_s, epoch):
         refuse(
             "duration_s receiver.epoch_s", f"{s.duration_s:g}", f"a multiple of epoch_s = {epoch:g}"
         )
-    if not _is_multiple(epoch, 1.0 / s.imu.rate_hz):
+    if tight and not _is_multiple(epoch, 1.0 / s.imu.rate_hz):
         refuse(
             "receiver.epoch_s imu.rate_hz",
             f"{epoch:g}",
             f"a multiple of the IMU interval {1.0 / s.imu.rate_hz:g} s",
         )
-    coherent = receiver.closure == "ultra-tight" and receiver.measurement == "coherent"
+    coherent = tight and receiver.measurement == "coherent"
     if coherent and not receiver.knows.data_bits:
         refuse(
             "receiver.measurement receiver.knows.data_bits",
@@ -63,25 +68,58 @@ def contradictions(s: Scenario) -> Found:
         refuse("channel.cn0_profile_s_db", config.show(times), "times that grow")
     if s.prns is not None and len(set(s.prns)) < len(s.prns):
         refuse("prns", config.show(s.prns), "each satellite once")
-    return found + _unknown_names(s) + _profile_contradictions(s)
+    return found + _unknown_names(s) + _loop_contradictions(s) + _profile_contradictions(s)
 
 
-def _unknown_names(s: Scenario) -> Found:
-    """Names that are rows of tables elsewhere (looked up late: those modules are slow to load)."""
+def _loop_contradictions(s: Scenario) -> Found:
+    """What the loops of a scalar closure cannot do."""
+    from ultratight.tracking.loop_filters import BANDWIDTH_T_LIMIT
+    from ultratight.tracking.scalar import INTEGRATIONS_MS
+
+    t, found = s.receiver.integration_s, []
+    if not any(abs(t - 0.001 * ms) < 1e-9 for ms in INTEGRATIONS_MS):
+        known = ", ".join(f"{0.001 * ms:g}" for ms in INTEGRATIONS_MS)
+        key = "receiver.integration_s"
+        found.append(((key,), f"{key}: {t:g} given, expected one of {known} (parts of a data bit)"))
+    for name in ("bandwidth_hz", "dll_bandwidth_hz"):
+        key, bandwidth = f"receiver.{name}", getattr(s.receiver, name)
+        if bandwidth * t > BANDWIDTH_T_LIMIT + 1e-9:
+            most = (
+                f"{BANDWIDTH_T_LIMIT:g} / integration_s = {BANDWIDTH_T_LIMIT / t:g}, for stability"
+            )
+            text = f"{key}: {bandwidth:g} given, expected at most {most}"
+            found.append(((key, "receiver.integration_s"), text))
+    return found
+
+
+def names() -> dict[str, Mapping[str, Any]]:
+    """What may stand at keys that name a row of a table elsewhere.
+
+    Looked up late: those modules are slow to load.
+    """
     from signals.clock import OSCILLATORS
     from ultratight.filters.catalog import CATALOG
     from ultratight.ins.imu import GRADES
 
-    named: list[tuple[str, str | None, Iterable[str]]] = [
-        ("receiver.filter", s.receiver.filter, CATALOG),
-        ("imu.grade", s.imu.grade, GRADES),
-        ("clock.model", s.clock.model, OSCILLATORS),
-        ("receiver.process_noise.clock_model", s.receiver.process_noise.clock_model, OSCILLATORS),
-    ]
+    return {
+        "receiver.filter": CATALOG,
+        "imu.grade": GRADES,
+        "clock.model": OSCILLATORS,
+        "receiver.process_noise.clock_model": OSCILLATORS,
+    }
+
+
+def _unknown_names(s: Scenario) -> Found:
+    given = {
+        "receiver.filter": s.receiver.filter,
+        "imu.grade": s.imu.grade,
+        "clock.model": s.clock.model,
+        "receiver.process_noise.clock_model": s.receiver.process_noise.clock_model,
+    }
     return [
-        ((key,), f'{key}: "{name}" given, expected one of {", ".join(table)}')
-        for key, name, table in named
-        if name is not None and name not in table
+        ((key,), f'{key}: "{given[key]}" given, expected one of {", ".join(table)}')
+        for key, table in names().items()
+        if given[key] is not None and given[key] not in table
     ]
 
 
@@ -99,7 +137,8 @@ def _profile_contradictions(s: Scenario) -> Found:
             found.append((("profile",), text))
         if leg.t1_s > s.duration_s:
             text = f"profile[{i}].t1_s: {leg.t1_s:g} given, expected at most duration_s"
-            found.append((("profile", "duration_s"), f"{text} = {s.duration_s:g}"))
+            text += f" = {s.duration_s:g} (no profile at all: --set 'profile=[]')"
+            found.append((("profile", "duration_s"), text))
         end = max(end, leg.t1_s)
         length, a0, a1 = leg.t1_s - leg.t0_s, leg.accel0_mps2, leg.accel1_mps2
         if a0 * a1 < 0.0:  # the extreme speed is where the acceleration crosses zero

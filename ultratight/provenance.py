@@ -15,8 +15,10 @@ from ultratight.scenario import Scenario
 def provenance(scenario: Scenario, seed: int) -> dict[str, Any]:
     """What one needs to repeat the run: scenario hash, seed, versions, CPU path."""
     names = ("ultratight", "numpy", "scipy", "numba")
+    sky = scenario.navigation_sha256()
     return {
         "scenario_sha256": scenario.digest(),
+        **({} if sky is None else {"navigation_sha256": sky}),
         "seed": seed,
         "cpu_path": cpu_path(),
         "machine": platform.machine(),

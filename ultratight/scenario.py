@@ -47,7 +47,9 @@ _KEYS_ONLY = "keys only"
 
 
 class _Table(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", strict=True, allow_inf_nan=False, use_attribute_docstrings=True
+    )
 
     @model_validator(mode="before")
     @classmethod
@@ -68,9 +70,13 @@ class Segment(_Table):
     t0_s: NotNegative
     t1_s: Positive
     accel0_mps2: Acceleration = 0.0
+    """Along the velocity, at t0_s"""
     accel1_mps2: Acceleration = 0.0
+    """At t1_s"""
     turn_rate0_deg_s: TurnRate = 0.0
+    """Of the heading, clockwise, at t0_s"""
     turn_rate1_deg_s: TurnRate = 0.0
+    """At t1_s"""
 
 
 class Channel(_Table):
@@ -86,14 +92,18 @@ class Imu(_Table):
     """The inertial sensors; a key that is left out is as the grade has it."""
 
     grade: str = "industrial-mems"
+    """A row of sensor data; the keys below that are left out are as it has them"""
     rate_hz: Annotated[float, Field(ge=10.0, le=10_000.0)] = 200.0
     lever_arm_b_m: Vector3 = (0.0, 0.0, 0.0)
     """From the IMU to the antenna, forward-right-down"""
     accel_bias_mg: NotNegative | None = None
     """Turn-on, 1 sigma"""
     accel_bias_in_run_ug: NotNegative | None = None
+    """First-order Gauss-Markov, 1 sigma"""
     accel_bias_tau_s: Positive | None = None
+    """Its correlation time"""
     velocity_random_walk_mps_sqrt_s: NotNegative | None = None
+    """White noise of the accelerometers"""
     accel_scale_factor_ppm: tuple[Ppm, Ppm, Ppm] | None = None
     """A fixed error per axis"""
     accel_scale_factor_alternates: bool = False
@@ -101,15 +111,23 @@ class Imu(_Table):
     accel_scale_factor_sigma_ppm: Annotated[float, Field(ge=0.0, le=1e5)] | None = None
     """Drawn per axis and run, on top of the fixed error"""
     misalignment_mrad: Annotated[float, Field(ge=0.0, le=100.0)] | None = None
+    """Of the accelerometers, 1 sigma"""
     lag_s: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
+    """Time constant of a first-order lag of all sensors"""
     saturation_g: Positive | None = None
+    """Accelerometers end here; no limit when left out (no grade has one)"""
     gyro_bias_deg_h: NotNegative | None = None
     """Turn-on, 1 sigma"""
     gyro_bias_in_run_deg_h: NotNegative | None = None
+    """First-order Gauss-Markov, 1 sigma"""
     gyro_bias_tau_s: Positive | None = None
+    """Its correlation time"""
     angle_random_walk_rad_sqrt_s: NotNegative | None = None
+    """White noise of the gyros"""
     gyro_scale_factor_ppm: Annotated[float, Field(ge=0.0, le=1e5)] | None = None
+    """1 sigma, drawn per axis and run"""
     gyro_g_dependence_deg_h_g: NotNegative | None = None
+    """1 sigma, drawn per axis and run"""
 
 
 class Clock(_Table):
@@ -117,8 +135,11 @@ class Clock(_Table):
 
     model: str = "tcxo"
     bias_m: Annotated[float, Field(ge=-3e8, le=3e8)] = 300.0
+    """At the start: c times the time that the receiver is ahead"""
     drift_mps: Annotated[float, Field(ge=-30_000.0, le=30_000.0)] = 30.0
+    """At the start: c times the relative frequency error"""
     g_sensitivity_ppb_per_g: Annotated[float, Field(ge=-100.0, le=100.0)] = 0.0
+    """Along the forward axis"""
 
 
 class FrontEnd(_Table):
@@ -133,6 +154,7 @@ class Correlator(_Table):
     """How taps are made: from samples, or in closed form ("model")."""
 
     kind: Literal["model", "samples"] = "model"
+    """model: closed form with the same mean and covariance"""
     spacing_chips: Annotated[float, Field(gt=0.0, le=1.0)] = 0.25
     """Early and late replica: distance from the prompt one"""
     multiple_access: bool = False
@@ -143,9 +165,13 @@ class Knows(_Table):
     """What the receiver is told before it starts, and how well (1 sigma)."""
 
     bit_edges: bool = True
+    """Only true is built"""
     data_bits: bool = True
+    """The coherent measurement needs them"""
     ephemerides: bool = True
+    """Only true is built"""
     initial_state: bool = True
+    """Only true is built"""
     position_sigma_m: Positive = 5.0
     velocity_sigma_mps: Positive = 0.5
     tilt_sigma_mrad: Positive = 1.5
@@ -169,19 +195,27 @@ class Receiver(_Table):
     """Who closes the loop, with which filter and measurement, and what it knows."""
 
     closure: Literal["ultra-tight", "scalar", "scalar-ins"] = "ultra-tight"
+    """Who closes the loop: the filter, channel loops, or channel loops with INS aiding"""
     filter: str = "fiqkf-r"
+    """Ultra-tight only; see `ultratight filters`"""
     measurement: Literal["coherent", "differential"] = "coherent"
+    """Ultra-tight only: carrier phase with known data bits, or phase change within a bit"""
     epoch_s: Annotated[float, Field(ge=0.001, le=1.0)] = 0.02
+    """Ultra-tight closure: one filter step and one command; scalar loops close at their own"""
+    """Ultra-tight only: how often the filter updates"""
     hand_over_s: NotNegative = 2.0
     """A coherent receiver starts with differential measurements and changes over at this time"""
     fall_back: bool = True
     """To differential measurements on loss of lock, and back after ``hand_over_s``"""
     integration_s: Annotated[float, Field(ge=0.001, le=0.02)] = 0.005
-    """Scalar closures: coherent integration once pulled in"""
+    """Scalar closures: coherent integration once pulled in; 1, 2, 4, 5, 10 or 20 ms"""
     bandwidth_hz: Annotated[float, Field(gt=0.0, le=100.0)] = 18.0
     """Scalar closures: noise bandwidth of the PLL"""
-    fll_bandwidth_hz: Annotated[float, Field(ge=0.0, le=100.0)] = 2.0
+    pll_order: Literal[2, 3] = 3
+    fll_bandwidth_hz: Annotated[float, Field(ge=0.0, le=20.0)] = 2.0
+    """Of the FLL that assists the PLL until it has locked, at 20 ms; 0 for none"""
     dll_bandwidth_hz: Annotated[float, Field(gt=0.0, le=20.0)] = 1.0
+    dll_order: Literal[1, 2] = 1
     knows: Knows = Knows()
     process_noise: ProcessNoise = ProcessNoise()
 
@@ -196,16 +230,20 @@ class Scenario(_Table):
     """One line: why it exists"""
     duration_s: Annotated[float, Field(gt=0.0, le=86_400.0)]
     start_week: Annotated[int, Field(ge=0, le=10_000)] = 2149
+    """GPS week, without rollover"""
     start_tow_s: Annotated[float, Field(ge=0.0, lt=604_800.0)] = 475_220.0
     position_lla_deg_m: tuple[
         Annotated[float, Field(ge=-90.0, le=90.0)],
         Annotated[float, Field(ge=-180.0, le=180.0)],
         Annotated[float, Field(ge=-1_000.0, le=2_000_000.0)],
     ] = (39.9, 116.4, 8_000.0)
+    """Start: geodetic latitude, longitude and height, WGS-84"""
     heading_deg: Annotated[float, Field(ge=-360.0, le=360.0)] = 0.0
     speed_mps: Annotated[float, Field(ge=-SPEED_LIMIT_MPS, le=SPEED_LIMIT_MPS)] = 0.0
     mask_deg: Annotated[float, Field(ge=-5.0, lt=90.0)] = 10.0
+    """Satellites below at the start are left out"""
     cn0_dbhz: Dbhz = 35.0
+    """Of every satellite"""
     constellation: Annotated[str, Field(min_length=1)] = "embedded"
     """"embedded" (GPS, 2021-03-19), "nominal-24" or a RINEX navigation file"""
     max_satellites: Annotated[int, Field(ge=1, le=210)] | None = None
@@ -213,6 +251,7 @@ class Scenario(_Table):
     prns: tuple[Prn, ...] | None = None
     """Satellites to keep; all by default"""
     profile: tuple[Segment, ...] = ()
+    """Stretches of linear acceleration and turn rate; both are zero elsewhere"""
     jump_window_s: tuple[NotNegative, NotNegative] | None = None
     """What the summary calls the jump; by default from the first to the last segment"""
     channel: Channel = Channel()
@@ -250,17 +289,33 @@ class Scenario(_Table):
         return self.model_dump(mode="json", exclude_none=True)
 
     def to_toml(self) -> str:
-        """The resolved scenario, every key written out; `from_toml` gives it back."""
-        return config.write_toml(self.to_dict())
+        """The resolved scenario with every key there is; `from_toml` gives it back.
+
+        Comments say what keys mean; keys that are not set are comments themselves.
+        """
+        notes = {key.name: key.meaning for key in config.keys(Scenario)}
+        return config.write_toml(self.model_dump(mode="json"), notes=notes)
 
     def digest(self) -> str:
-        """SHA-256 of the resolved scenario as canonical JSON."""
-        text = json.dumps(self.to_dict(), sort_keys=True, separators=(",", ":"))
+        """SHA-256 of the resolved scenario as canonical JSON.
+
+        A navigation file enters by its content, wherever it is; OSError if it is gone.
+        """
+        tree, sky = self.to_dict(), self.navigation_sha256()
+        if sky is not None:
+            tree["constellation"] = f"sha256:{sky}"
+        text = json.dumps(tree, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()
+
+    def navigation_sha256(self) -> str | None:
+        """SHA-256 of the navigation file; None where the sky needs none."""
+        if self.constellation in CONSTELLATIONS:
+            return None
+        return hashlib.sha256(Path(self.constellation).read_bytes()).hexdigest()
 
     def replace(self, changes: Mapping[str, Any] | Iterable[str]) -> Scenario:
         """A validated copy with dotted changes: {"imu.lag_s": 0.01} or ["imu.lag_s=0.01"]."""
-        return self.from_dict(config.merge(self.to_dict(), config.nest(changes)))
+        return self.from_dict(_changed(self.to_dict(), config.nest(changes)))
 
     def warnings(self) -> list[str]:
         """Lines about what is allowed and seldom wanted."""
@@ -309,7 +364,7 @@ def load(name_or_path: str | Path, overrides: Mapping[str, Any] | Iterable[str] 
     what differs: tables merge key by key, lists are replaced.  A navigation file is looked for
     relative to the file that names it.  Raises `InvalidInput` with every problem found.
     """
-    tree = config.merge(
+    tree = _changed(
         config.resolved(str(name_or_path), PRESETS, preset_text, _relative_to),
         config.nest(overrides),
     )
@@ -321,6 +376,17 @@ def load(name_or_path: str | Path, overrides: Mapping[str, Any] | Iterable[str] 
             "or a RINEX navigation file (there is no such file)"
         )
     return scenario
+
+
+def _changed(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """``base`` with changes laid over it; of another world, title and reason no longer hold."""
+    tree = config.merge(base, changes)
+    same = {"name", "title", "why", "front_end", "correlator", "receiver"}
+    touched = [key for key in changes if key not in same and tree[key] != base.get(key)]
+    if not touched:
+        return tree
+    fresh = {"title": f"{base['name']}, changed: {', '.join(touched)}", "why": ""}
+    return tree | fresh | {key: changes[key] for key in fresh if key in changes}
 
 
 def _relative_to(folder: Path, tree: dict[str, Any]) -> dict[str, Any]:

@@ -100,7 +100,7 @@ def run(
         t_s=history.t_s,
         variables=history.variables(world.names) | truth_variables(world, history.t_s),
         events=[
-            Event(t, world.names[c] if c >= 0 else "", kind, why)
+            Event(round(float(t), 9), world.names[c] if c >= 0 else "", kind, why)
             for t, c, kind, why in closure.events
         ],
         provenance=provenance(scenario, seed),
@@ -169,6 +169,8 @@ def new_closure(scenario: Scenario, knows: Knows, filter: Filter | None = None) 
         bandwidth_hz=r.bandwidth_hz,
         fll_bandwidth_hz=r.fll_bandwidth_hz,
         dll_bandwidth_hz=r.dll_bandwidth_hz,
+        pll_order=r.pll_order,
+        dll_order=r.dll_order,
     )
     return Scalar(knows, scalar, spacing, piece_s, aided=r.closure == "scalar-ins")
 

@@ -110,7 +110,7 @@ class World:
             sky = _constellation(s)
             prn, rows = sky.select(s.start_week, s.start_tow_s)
         except (ValueError, OSError) as error:
-            raise InvalidInput(f"constellation: {error}") from None
+            raise InvalidInput(f"constellation: {error}{_other_sky(s)}") from None
         r, v = self.antenna(np.zeros(1))
         rho, rate, u = np.empty(prn.size), np.empty(prn.size), np.empty((prn.size, 3))
         predict_channels(rows, s.start_tow_s, r[0], v[0], 0.0, 0.0, rho, rate, u)
@@ -122,8 +122,9 @@ class World:
         chosen = np.sort([i for i in order if keep[i]][: s.max_satellites])
         if len(chosen) < FEWEST_SATELLITES:
             raise InvalidInput(
-                f"mask_deg: {len(chosen)} satellites at or above {s.mask_deg:g} deg at the start, "
-                f"expected at least {FEWEST_SATELLITES}"
+                f"mask_deg: {len(chosen)} satellites of {s.constellation} at or above "
+                f"{s.mask_deg:g} deg at the start, expected at least {FEWEST_SATELLITES}"
+                + _other_sky(s)
             )
         self.prn, self.elements = prn[chosen], np.ascontiguousarray(rows[chosen])
 
@@ -282,6 +283,13 @@ class World:
             data_bits=self.signal.symbols if k.data_bits else None,
             first_bit=self.signal.first_symbol,
         )
+
+
+def _other_sky(s: Scenario) -> str:
+    """What to do about the sky of one day."""
+    if s.constellation == "nominal-24":
+        return ""
+    return '; for other places and dates: constellation = "nominal-24", or --nav FILE'
 
 
 def _constellation(s: Scenario) -> satellites.Constellation:
