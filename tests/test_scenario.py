@@ -184,6 +184,7 @@ def test_keys_are_described_as_they_are() -> None:
     assert described["duration_s"].expected == "number more than 0 and 86400 or less"
     assert described["profile.t1_s"].expected == "number more than 0"
     assert described["correlator.kind"].expected == "model or samples"
+    assert described["receiver.pll_order"].expected == "2 or 3"
 
 
 def test_overrides_are_toml_values_or_bare_words() -> None:

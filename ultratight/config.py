@@ -238,7 +238,8 @@ def _expected(annotation: Any, metadata: Sequence[Any] = ()) -> str:
         inner, *more = arguments
         return _expected(inner, [m for x in more for m in getattr(x, "metadata", None) or [x]])
     if get_origin(annotation) is Literal:
-        return ", ".join(arguments[:-1]) + " or " + arguments[-1]
+        *most, last = map(str, arguments)
+        return ", ".join(most) + " or " + last
     if get_origin(annotation) is dict:
         return f"table of {_expected(arguments[1])}"
     if get_origin(annotation) is tuple:
