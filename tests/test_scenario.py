@@ -262,6 +262,32 @@ def test_data_bits_matter_to_the_coherent_closure_only() -> None:
         assert load("jump-1", [*without, other])
 
 
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        (
+            "integration_s=0.003",
+            "0.003 given, expected one of 0.001, 0.002, 0.004, 0.005, 0.01, 0.02",
+        ),
+        ("bandwidth_hz=81", "81 given, expected at most 0.4 / integration_s = 80"),
+        ("pll_order=4", "4 given, expected one of 2 or 3"),
+        ("dll_order=0", "0 given, expected one of 1 or 2"),
+    ],
+)
+def test_loops_that_cannot_be_built_are_refused(change: str, line: str) -> None:
+    key = change.partition("=")[0]
+    assert [f"receiver.{key}: {line}" in text for text in problems(f"receiver.{change}")] == [True]
+    assert load("jump-1", ["receiver.bandwidth_hz=80", "receiver.dll_bandwidth_hz=20"])
+
+
+def test_the_epoch_matters_to_the_ultra_tight_closure_only() -> None:
+    odd = ["receiver.epoch_s=0.017", "duration_s=1.02", "profile=[]"]
+    assert problems(*odd)
+    assert load("jump-1", [*odd, "receiver.closure=scalar"])
+    with pytest.raises(InvalidInput, match=r"duration_s: 1.01 given, expected a multiple of 0.02"):
+        load("jump-1", ["duration_s=1.01", "profile=[]", "receiver.closure=scalar"])
+
+
 def test_fastest_moment_counts_also_inside_a_ramp() -> None:
     """From +8000 to -8000 m/s2 in 8 s: the speed peaks at 16 km/s in the middle and is 0 after."""
     ramp = "profile=[{t0_s=1,t1_s=9,accel0_mps2=8000,accel1_mps2=-8000}]"

@@ -76,7 +76,8 @@ def _loop_contradictions(s: Scenario) -> Found:
     from ultratight.tracking.loop_filters import BANDWIDTH_T_LIMIT
     from ultratight.tracking.scalar import INTEGRATIONS_MS
 
-    t, found = s.receiver.integration_s, []
+    t = s.receiver.integration_s
+    found: Found = []
     if not any(abs(t - 0.001 * ms) < 1e-9 for ms in INTEGRATIONS_MS):
         known = ", ".join(f"{0.001 * ms:g}" for ms in INTEGRATIONS_MS)
         key = "receiver.integration_s"

@@ -13,13 +13,26 @@ import numpy as np
 from signals.constants import C_MPS, GPS_L1_HZ
 from signals.nco import Nco, Taps
 from signals.propagation import elevation_azimuth, predict_channels
+from ultratight.consistency import ROW_S
 from ultratight.results import EPOCH, Variable
 
 if TYPE_CHECKING:
     from ultratight.world import World
 
-ROW_S = 0.02
-"""Closures with shorter epochs keep a row this often [s]"""
+
+ECEF, BODY = np.array(["x", "y", "z"]), np.array(["forward", "right", "down"])
+ERRORS = ("r", "v", "psi", "accel_bias", "gyro_bias")
+STATE = np.array([f"{name}_{axis}" for name in ERRORS for axis in ECEF] + ["clock_m", "clock_rate"])
+"""The 17 states of the covariance"""
+LABELS = {
+    "xyz": (ECEF, "ECEF axis"),
+    "row": (ECEF, "ECEF axis"),
+    "column": (BODY, "body axis"),
+    "axis": (BODY, "body axis"),
+    "state": (STATE, "error state, true minus estimate, ECEF; biases in body axes"),
+    "state_2": (STATE, "error state, true minus estimate, ECEF; biases in body axes"),
+}
+"""What stands along a dimension"""
 
 
 class History:
@@ -58,6 +71,8 @@ class History:
             name: Variable(self.rows[name], (EPOCH, *dims), units, text)
             for name, (_, dims, units, text) in self.fields.items()
         }
+        for dim in dict.fromkeys(d for v in out.values() for d in v.dims if d in LABELS):
+            out[dim] = Variable(LABELS[dim][0], (dim,), "", LABELS[dim][1])
         out["channel"] = Variable(np.array(names), ("channel",), "", "signal of each channel")
         if self.nco_freq is not None and self.nco_code is not None:
             out["nco_carrier_freq"] = Variable(
@@ -102,16 +117,34 @@ def truth_variables(world: World, t_s: np.ndarray) -> dict[str, Variable]:
     elevation, azimuth = elevation_azimuth(r[:, None, :], u)
     vector, channel = (EPOCH, "xyz"), (EPOCH, "channel")
     return {
+        "tap": Variable(world.offset_chips, ("tap",), "chips", "delay of the replica: E, P, L"),
         "r_eb_e_true": Variable(motion.r_eb_e, vector, "m", "true IMU position, ECEF"),
         "v_eb_e_true": Variable(motion.v_eb_e, vector, "m/s", "true IMU velocity, ECEF"),
-        "C_b_e_true": Variable(motion.C_b_e, (EPOCH, "row", "column"), "1", "true attitude"),
-        "speed_true": Variable(world.trajectory.speed(t_true), (EPOCH,), "m/s", "true speed"),
-        "accel_bias_true": Variable(accel_bias, (EPOCH, "axis"), "m/s2", "true bias"),
-        "gyro_bias_true": Variable(gyro_bias, (EPOCH, "axis"), "rad/s", "true bias"),
+        "C_b_e_true": Variable(
+            motion.C_b_e, (EPOCH, "row", "column"), "1", "true attitude, body to ECEF"
+        ),
+        "speed_true": Variable(
+            world.trajectory.speed(t_true), (EPOCH,), "m/s", "true speed over the Earth"
+        ),
+        "accel_bias_true": Variable(
+            accel_bias, (EPOCH, "axis"), "m/s2", "true accelerometer bias, body axes"
+        ),
+        "gyro_bias_true": Variable(
+            gyro_bias, (EPOCH, "axis"), "rad/s", "true gyro bias, body axes"
+        ),
         "clock_m_true": Variable(clock_m, (EPOCH,), "m", "true receiver clock bias"),
         "clock_rate_true": Variable(clock_rate, (EPOCH,), "m/s", "true receiver clock drift"),
-        "pseudorange_true": Variable(rho, channel, "m", "true pseudorange"),
-        "doppler_true": Variable(-rate * GPS_L1_HZ / C_MPS, channel, "Hz", "true Doppler"),
-        "elevation": Variable(np.degrees(elevation), channel, "deg", "elevation"),
-        "azimuth": Variable(np.degrees(azimuth), channel, "deg", "azimuth"),
+        "pseudorange_true": Variable(rho, channel, "m", "true pseudorange, with both clocks"),
+        "doppler_true": Variable(
+            -rate * GPS_L1_HZ / C_MPS,
+            channel,
+            "Hz",
+            "true Doppler of the carrier, with both clocks",
+        ),
+        "elevation": Variable(
+            np.degrees(elevation), channel, "deg", "true elevation of the satellite"
+        ),
+        "azimuth": Variable(
+            np.degrees(azimuth), channel, "deg", "true azimuth of the satellite, from north"
+        ),
     }

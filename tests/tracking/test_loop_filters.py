@@ -5,6 +5,7 @@ import pytest
 
 from ultratight.tracking.loop_filters import (
     BANDWIDTH_PER_W,
+    BANDWIDTH_T_LIMIT,
     filter_step,
     frequency_loop,
     phase_loop,
@@ -122,9 +123,30 @@ def test_wide_loops_stay_stable(bandwidth_t):
     assert (h**2).sum() / 2.0 == pytest.approx(bandwidth_t, rel=0.01)
 
 
+def rings_on(gains, interval_s, delay_s):
+    """The loop's answer to one noisy measurement does not die out."""
+    noise = np.zeros(400)
+    noise[0] = 1.0
+    h, _ = run_phase_loop(gains, interval_s, np.zeros((400, 20)), noise, delay_s)
+    return not np.abs(h[-50:]).max() < 1e-2
+
+
+@pytest.mark.parametrize(("share", "table_ends"), [(0.5, 0.36), (0.025, 0.56)])
+def test_margin_at_the_widest_bandwidth(share, table_ends):
+    # gains may grow by 6.0 or 8.2 dB at the limit; with w of the table the loop is unstable from
+    # Bn T = 0.335 (delay T / 2) or 0.537 on: eigenvalues of its state matrix
+    _, gains = phase_loop(3, BANDWIDTH_T_LIMIT, 1.0, share)
+    assert not rings_on(1.8 * gains, 1.0, share)
+    assert rings_on(2.7 * gains, 1.0, share)
+    for bn, rings in ((table_ends, True), (table_ends - 0.05, False)):
+        w = bn / BANDWIDTH_PER_W[3]
+        assert rings_on(np.array([2.4 * w, 1.1 * w**2, w**3]), 1.0, share) is rings
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
+        ((3, 21.0, 0.02), "expected at most 20"),
         ((4, 5.0, 0.02), "order is 4"),
         ((3, 0.0, 0.02), "bandwidth_hz is 0.0"),
         ((3, np.nan, 0.02), "bandwidth_hz is nan"),

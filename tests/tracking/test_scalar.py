@@ -379,6 +379,24 @@ def test_settings_that_mean_nothing(change, message):
         Scalar(world.knows, ScalarSettings(**change), 0.25, NODE_S, aided=False)
 
 
+def test_the_scenario_s_keys_reach_the_loops():
+    keys = {
+        "integration_s": 0.01,
+        "bandwidth_hz": 7.0,
+        "fll_bandwidth_hz": 3.0,
+        "dll_bandwidth_hz": 0.5,
+        "pll_order": 2,
+        "dll_order": 2,
+    }
+    changes = {"receiver.closure": "scalar"} | {f"receiver.{k}": v for k, v in keys.items()}
+    world = World(scenario.load("uniform", changes), 1)
+    receiver = new_closure(world.scenario, world.knows)
+    assert receiver.settings == ScalarSettings(**keys)
+    assert receiver.design.block == 10
+    np.testing.assert_array_equal(receiver.design.pll, phase_loop(2, 7.0, 0.01, 0.0005)[1])
+    np.testing.assert_array_equal(receiver.design.dll, phase_loop(2, 0.5, 0.01, 0.0005)[1])
+
+
 def test_a_bench_starts_in_pull_in():
     b = bench(FAST, 4, 0.1, 40.0)
     assert (b.receiver.loops.phase == PULL_IN).all()

@@ -27,6 +27,8 @@ from signals.compiled import kernel
 
 BANDWIDTH_PER_W = {1: 0.25, 2: 0.53, 3: 0.7845}
 """Bn / w in continuous time, by order"""
+BANDWIDTH_T_LIMIT = 0.4
+"""Largest Bn T: order 3 has a gain margin of 6 to 8 dB there (with w as above: 3 dB to none)"""
 _SHAPE = {1: (1.0, 0.0, 0.0), 2: (1.414, 1.0, 0.0), 3: (2.4, 1.1, 1.0)}
 _StateSpace = tuple[np.ndarray, np.ndarray, np.ndarray]
 
@@ -54,15 +56,15 @@ def phase_loop(
     if order not in _SHAPE:
         raise ValueError(f"order is {order}: expected 1, 2 or 3")
 
-    def gains(w: float) -> np.ndarray:
+    def gains(w: float, t: float) -> np.ndarray:
         a, b, c = _SHAPE[order]
-        return np.array([a * w, interval_s * b * w**2, interval_s * c * w**3])
+        return np.array([a * w, t * b * w**2, t * c * w**3])
 
-    def loop(w: float) -> _StateSpace:
-        return _phase_state_space(order, gains(w), interval_s, delay_s / interval_s)
+    def loop(wt: float) -> _StateSpace:
+        return _phase_state_space(order, gains(1.0, wt), wt, delay_s / interval_s)
 
     w = _natural_frequency(order, bandwidth_hz, interval_s, delay_s, loop)
-    return w, gains(w)
+    return w, gains(w, interval_s)
 
 
 def frequency_loop(
@@ -75,15 +77,15 @@ def frequency_loop(
     if order not in (1, 2):
         raise ValueError(f"order is {order}: expected 1 or 2 for a frequency loop")
 
-    def gains(w: float) -> np.ndarray:
+    def gains(w: float, t: float) -> np.ndarray:
         a, b, _ = _SHAPE[order]
-        return np.array([0.0, interval_s * a * w, interval_s * b * w**2])
+        return np.array([0.0, t * a * w, t * b * w**2])
 
-    def loop(w: float) -> _StateSpace:
-        return _frequency_state_space(order, gains(w), interval_s, delay_s / interval_s)
+    def loop(wt: float) -> _StateSpace:
+        return _frequency_state_space(order, gains(1.0, wt), wt, delay_s / interval_s)
 
     w = _natural_frequency(order, bandwidth_hz, interval_s, delay_s, loop)
-    return w, gains(w)
+    return w, gains(w, interval_s)
 
 
 def _natural_frequency(
@@ -93,19 +95,27 @@ def _natural_frequency(
     delay_s: float,
     loop: Callable[[float], _StateSpace],
 ) -> float:
-    """The w at which the loop's noise bandwidth is Bn, by bisection: it grows with w."""
+    """The w at which the loop's noise bandwidth is Bn, by bisection: it grows with w.
+
+    ``loop`` is given w T; its unit of time is 1 / w, as its states are then of a size.
+    """
     if not 0.0 < bandwidth_hz < np.inf:
         raise ValueError(f"bandwidth_hz is {bandwidth_hz}: expected a finite number > 0")
+    if bandwidth_hz * interval_s > BANDWIDTH_T_LIMIT + 1e-9:
+        raise ValueError(
+            f"bandwidth_hz is {bandwidth_hz}: expected at most {BANDWIDTH_T_LIMIT / interval_s:g}, "
+            f"{BANDWIDTH_T_LIMIT} / {interval_s} s, for stability"
+        )
     if not 0.0 <= delay_s < interval_s:
         raise ValueError(f"delay_s is {delay_s}: expected >= 0 and less than {interval_s}")
-    low, high = 0.0, 1.2 * bandwidth_hz / BANDWIDTH_PER_W[order]
+    low, high = 0.0, 1.2 * bandwidth_hz * interval_s / BANDWIDTH_PER_W[order]
     for _ in range(50):
-        w = 0.5 * (low + high)
-        if noise_bandwidth(*loop(w)) > bandwidth_hz * interval_s:
-            high = w
+        middle = 0.5 * (low + high)
+        if noise_bandwidth(*loop(middle)) > bandwidth_hz * interval_s:
+            high = middle
         else:
-            low = w
-    return low
+            low = middle
+    return low / interval_s
 
 
 def noise_bandwidth(transition: np.ndarray, drive: np.ndarray, output: np.ndarray) -> float:
@@ -119,9 +129,7 @@ def noise_bandwidth(transition: np.ndarray, drive: np.ndarray, output: np.ndarra
     return 0.5 * float(output @ covariance @ output)
 
 
-def _phase_state_space(
-    order: int, gains: np.ndarray, interval_s: float, late: float
-) -> _StateSpace:
+def _phase_state_space(order: int, gains: np.ndarray, interval: float, late: float) -> _StateSpace:
     """Loop around an integrating NCO; x = (NCO phase, rate before, rate now, filter's memory).
 
     In every interval the old rate still runs for its share ``late``; y is the mean NCO phase.
@@ -129,20 +137,18 @@ def _phase_state_space(
 
     def advance(x: np.ndarray, n: float) -> tuple[np.ndarray, float]:
         phase, before, now = x[:3]
-        y = phase + interval_s * (
-            before * late * (1.0 - 0.5 * late) + now * 0.5 * (1.0 - late) ** 2
-        )
-        phase += interval_s * (late * before + (1.0 - late) * now)
+        y = phase + interval * (before * late * (1.0 - 0.5 * late) + now * 0.5 * (1.0 - late) ** 2)
+        phase += interval * (late * before + (1.0 - late) * now)
         memory = np.zeros(2)
         memory[3 - order :] = x[3:]
-        rate = filter_step(memory, n - y, interval_s, gains)
+        rate = filter_step(memory, n - y, interval, gains)
         return np.array([phase, now, rate, *memory[3 - order :]]), y
 
     return _linear(advance, 3 + order - 1)
 
 
 def _frequency_state_space(
-    order: int, gains: np.ndarray, interval_s: float, late: float
+    order: int, gains: np.ndarray, interval: float, late: float
 ) -> _StateSpace:
     """Loop around the filter alone; x = (frequency before, now, filter's memory), y their mean."""
 
@@ -151,7 +157,7 @@ def _frequency_state_space(
         y = late * before + (1.0 - late) * now
         memory = np.zeros(2)
         memory[2 - order :] = x[2:]
-        rate = filter_step(memory, n - y, interval_s, gains)
+        rate = filter_step(memory, n - y, interval, gains)
         return np.array([now, rate, *memory[2 - order :]]), y
 
     return _linear(advance, 2 + order)
