@@ -25,10 +25,10 @@ def run() -> Run:
         seed=12,
         t_s=np.cumsum(np.full(n_epoch, 0.1)),
         variables={
-            "v_eb_e": Variable(velocity, ("t", "axis"), "m/s", "velocity", "estimate"),
+            "v_eb_e": Variable(velocity, (results.EPOCH, "axis"), "m/s", "velocity", "estimate"),
             "iq": Variable(iq, ("dump", "tap"), "1", "correlator taps", "taps"),
             "locked": Variable(
-                rng.random((n_epoch, n_channel)) > 0.5, ("t", "channel"), "1", "locked"
+                rng.random((n_epoch, n_channel)) > 0.5, (results.EPOCH, "channel"), "1", "locked"
             ),
             "index": Variable(np.array([-1, 2**62]), ("pair",), "1", "whole numbers"),
             "channel": Variable(
@@ -85,8 +85,22 @@ def test_dataset_has_units_everywhere(run: Run) -> None:
     for name, array in dataset.variables.items():
         assert "units" in array.attrs, name
         assert array.attrs["long_name"], name
-    assert dataset["locked"].sel(channel="G07:L1CA").dims == ("t",)
+    assert dataset["locked"].sel(channel="G07:L1CA").dims == ("t_s",)
     same(run, Run.from_xarray(dataset))
+
+
+def test_time_and_names_are_labels(run: Run) -> None:
+    dataset = run.to_xarray()
+    assert dataset.indexes["t_s"].size == run.t_s.size
+    near = dataset["v_eb_e"].sel(t_s=0.52, method="nearest")
+    np.testing.assert_array_equal(near, run["v_eb_e"][4])  # 0.1, 0.2, ... 0.5 is the fifth
+
+
+def test_a_run_shows_itself_in_a_line(run: Run) -> None:
+    assert repr(run) == (
+        "<Run jump-1, seed 12: ; 7 epochs to 0.7 s, 6 variables, 2 events; "
+        "velocity r.m.s. of the end 0.3 m/s>"
+    )
 
 
 def test_others_can_read_the_file(run: Run, tmp_path) -> None:

@@ -21,10 +21,10 @@ from ultratight.config import InvalidInput
 if TYPE_CHECKING:
     import xarray
 
-FORMAT = "ultratight-run-1"
+FORMAT = "ultratight-run-2"
 """Mark of our files; the number grows when an old reader would misread a new file"""
-EPOCH = "t"
-"""Dimension of everything that is recorded once per epoch, along `Run.t_s`"""
+EPOCH = "t_s"
+"""Dimension of everything that is recorded once per epoch, and its coordinate `Run.t_s`"""
 _COMPLEX = "real_imag"
 """Dimension that stands for complex numbers in a file: netCDF has no complex type"""
 
@@ -85,11 +85,25 @@ class Run:
         except KeyError:
             raise KeyError(f"{name}; this run has {', '.join(sorted(self.variables))}") from None
 
+    def __repr__(self) -> str:
+        s = self.summary
+        how = [s[k] for k in ("closure", "filter", "measurement") if s.get(k)]
+        end = (s.get("velocity_rms_mps") or {}).get("end")
+        said = "" if end is None else f"; velocity r.m.s. of the end {end:.3g} m/s"
+        return (
+            f"<Run {self.scenario.get('name', '')}, seed {self.seed}: {', '.join(how)}; "
+            f"{self.t_s.size} epochs to {self.t_s[-1] if self.t_s.size else 0.0:g} s, "
+            f"{len(self.variables)} variables, {len(self.events)} events{said}>"
+        )
+
     def __contains__(self, name: object) -> bool:
         return name in self.variables
 
     def to_xarray(self) -> xarray.Dataset:
-        """Everything as one Dataset; scenario, provenance and summary as JSON attributes."""
+        """Everything as one Dataset; scenario, provenance and summary as JSON texts.
+
+        Dimensions carry their labels: ``dataset.v_eb_e.sel(t_s=2.0, xyz="x", method=...)``.
+        """
         import xarray as xr
 
         values = {

@@ -33,7 +33,7 @@ ABSURD_SPEED_MPS = 2e4
 ABSURD_DRIFT_MPS = 4e4
 """Beyond what a scenario may ask for: an estimate there has nothing to do with a receiver"""
 N_STATE = 17
-STATES = "covariance of r, v, psi, accel bias, gyro bias, clock bias, clock drift (ECEF)"
+STATES = "covariance of the 17 error states after the update; the channels' phases are left out"
 UNITS = "products of m, m/s, rad, m/s2, rad/s, m, m/s"
 
 
@@ -254,14 +254,14 @@ class UltraTight:
             "r_eb_e": ((3,), ("xyz",), "m", "estimated IMU position, ECEF"),
             "v_eb_e": ((3,), ("xyz",), "m/s", "estimated IMU velocity, ECEF"),
             "C_b_e": ((3, 3), ("row", "column"), "1", "estimated attitude, body to ECEF"),
-            "accel_bias": ((3,), ("axis",), "m/s2", "estimated accelerometer bias"),
-            "gyro_bias": ((3,), ("axis",), "rad/s", "estimated gyro bias"),
+            "accel_bias": ((3,), ("axis",), "m/s2", "estimated accelerometer bias, body axes"),
+            "gyro_bias": ((3,), ("axis",), "rad/s", "estimated gyro bias, body axes"),
             "clock_m": ((), (), "m", "estimated receiver clock bias"),
             "clock_rate": ((), (), "m/s", "estimated receiver clock drift"),
             "covariance": ((N_STATE, N_STATE), ("state", "state_2"), UNITS, STATES),
-            "nis": ((), (), "1", "normalised innovation squared of the epoch"),
-            "n_measurement": ((), (), "1", "numbers measured in the epoch"),
-            "fading_factor": ((), (), "1", "fading factor in use"),
+            "nis": ((), (), "1", "normalised innovation squared (NIS) of the epoch"),
+            "n_measurement": ((), (), "1", "how many numbers were measured in the epoch"),
+            "fading_factor": ((), (), "1", "fading factor in use, 1 for none"),
             "coherent": ((), (), "1", "1 in the coherent model, 0 in the differential one"),
             "lock_indicator": (*channel, "1", "running mean of the in-phase measurement"),
             "cn0": (*channel, "dB-Hz", "estimated C/N0"),
