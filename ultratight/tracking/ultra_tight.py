@@ -223,8 +223,13 @@ class UltraTight:
         self.events.append((self.t_s, -1, "hand-over", "differential to coherent"))
 
     def _fall_back(self, reason: str) -> None:
+        """Back to model D.  The filter was sure of what was wrong: the doubt of the start returns.
+
+        Without that the differential model inherits a covariance that keeps it from pulling in.
+        """
         self.layout = Layout.build()
-        self.cov = np.ascontiguousarray(self.cov[: self.layout.n, : self.layout.n])
+        n = self.layout.n
+        self.cov = self.cov[:n, :n] + self.knows.initial_covariance()
         self.coherent = False
         self.returns_at_s = self.t_s + self.settings.return_s
         self.filter.reset()
