@@ -14,6 +14,13 @@ help:
 	@echo "make format    format the sources"
 	@echo "make clean     remove the virtual environment, caches and builds"
 
+# A Python asked for by name that is not the one in $(VENV): set up again.
+ifdef PYTHON
+ifneq ($(shell "$(PYTHON)" --version 2>&1),$(shell $(PY) --version 2>&1))
+.PHONY: $(STAMP)
+endif
+endif
+
 # The stamp is older than pyproject.toml when the dependencies may have changed.
 $(STAMP): pyproject.toml
 	@python=; \
@@ -27,7 +34,9 @@ $(STAMP): pyproject.toml
 	  exit 2; \
 	fi; \
 	echo "setting up $(VENV) with $$("$$python" --version), once"; \
-	$(PY) -m pip --version >/dev/null 2>&1 || "$$python" -m venv --clear $(VENV)
+	if [ -n "$(PYTHON)" ] && [ "$$("$$python" --version)" != "$$($(PY) --version 2>&1)" ] \
+	  || ! $(PY) -m pip --version >/dev/null 2>&1; then "$$python" -m venv --clear $(VENV); fi
+	@echo "installing (a minute or two)"
 	@$(PY) -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	@touch $@
 
