@@ -42,6 +42,12 @@ def test_public_names_lead_where_they_say(name: str) -> None:
         _ = ultratight.frobnicate
 
 
+def test_dir_shows_public_names_only() -> None:
+    import ultratight
+
+    assert dir(ultratight) == sorted(ultratight.__all__)
+
+
 def test_a_simulation_draws_nothing() -> None:
     assert "matplotlib" not in loaded("import ultratight.simulation, ultratight.results")
 

@@ -331,6 +331,10 @@ def test_run_prints_one_object_and_writes_what_show_shows(
     shown = say("show", path)
     assert shown.code == 0
     assert "G05:L1CA at 23.1 s" in shown.out
+    assert "jump-2: 200 m/s, +100" in shown.out
+    assert "taps in closed form" in shown.out
+    assert "before: 5 s to the jump; jump: 20 to 40 s" in shown.out
+    assert "cpu_path none" in shown.out
     assert "something [m]" in shown.out
 
 
@@ -363,6 +367,33 @@ def test_progress_is_plain_when_piped(say: Callable[..., Said], monkeypatch) -> 
     monkeypatch.setattr(ultratight.simulation, "run", run)
     lines = say("run", "jump-1").err.splitlines()
     assert lines == [f"flying jump-1: {10 * k} %" for k in range(11)]
+
+
+def test_validate_takes_the_options_of_run(say: Callable[..., Said], tmp_path: Path) -> None:
+    assert "valid (jump-1, 50 s, scenario hash " in say("validate", "jump-1", "--filter=kf").out
+    assert say("validate", "jump-1", "--filter=kf").out != say("validate", "jump-1").out
+    for words in (["--closure=loose"], ["--correlator=x"], ["--nav", tmp_path / "none.nav"]):
+        assert say("validate", "jump-1", *words).code == 2
+    said = say("validate", "jump-1", "--closure=scalar", "--measurement=coherent")
+    assert said.err.startswith("error: --measurement: coherent given, but closure scalar")
+
+
+@pytest.mark.parametrize("command", [[], ["run"], ["validate"], ["scenarios"], ["showcase"]])
+def test_help_is_not_cut(say: Callable[..., Said], command: list[str]) -> None:
+    said = say(*command, "--help")
+    assert said.code == 0
+    cut = [line for line in said.out.splitlines()[1:] if line.endswith("...")]
+    assert not cut  # the first line is the usage: COMMAND [ARGS]...
+    assert max(len(line) for line in said.out.splitlines()) <= 80
+
+
+def test_keys_are_listed_with_unit_choices_and_default(say: Callable[..., Said]) -> None:
+    listed = say("scenarios", "--keys").out
+    assert "lag_s [s]: number 0 to 1; default: left out\n" in listed
+    assert "\n[receiver.knows]  " in listed
+    assert "model: ideal, " in listed
+    assert "grade: perfect, matched" in listed
+    assert all(name in listed for name in CATALOG)
 
 
 def test_lists_name_everything(say: Callable[..., Said]) -> None:

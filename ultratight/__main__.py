@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -30,6 +30,19 @@ Override = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="change one key, e.g. imu.lag_s=0.0025"),
 ]
+FilterName = Annotated[
+    str | None, typer.Option("--filter", metavar="NAME", help="see `ultratight filters`")
+]
+Closure = Annotated[
+    str | None, typer.Option(metavar="NAME", help="ultra-tight, scalar or scalar-ins")
+]
+Measurement = Annotated[str | None, typer.Option(metavar="NAME", help="coherent or differential")]
+Correlator = Annotated[
+    str | None, typer.Option(metavar="NAME", help="samples or model (closed form)")
+]
+Navigation = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="RINEX navigation file for the sky")
+]
 Quiet = Annotated[bool, typer.Option("--quiet", help="no progress, no warnings")]
 Json = Annotated[bool, typer.Option("--json", help="print one JSON object")]
 
@@ -49,31 +62,29 @@ Seed = Annotated[
 @app.command()
 def run(
     source: Source,
-    filter: Annotated[str | None, typer.Option(help="see `ultratight filters`")] = None,
-    closure: Annotated[str | None, typer.Option(help="ultra-tight, scalar or scalar-ins")] = None,
-    measurement: Annotated[str | None, typer.Option(help="coherent or differential")] = None,
-    correlator: Annotated[str | None, typer.Option(help="samples or model (closed form)")] = None,
+    filter_: FilterName = None,
+    closure: Closure = None,
+    measurement: Measurement = None,
+    correlator: Correlator = None,
     changes: Override = None,
-    nav: Annotated[Path | None, typer.Option(help="RINEX navigation file for the sky")] = None,
+    nav: Navigation = None,
     seed: Seed = 1,
-    out: Annotated[Path | None, typer.Option(help="write the run to FILE.nc")] = None,
-    plot: Annotated[Path | None, typer.Option(help="write a figure (png, pdf, svg)")] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE.nc", help="write the run (netCDF)")
+    ] = None,
+    plot: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="write a figure (png, pdf, svg)")
+    ] = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Fly a scenario and print how it went."""
-    from ultratight import results, scenario
+    """Fly a scenario and print how it went.
 
-    options = {
-        "receiver.filter": filter,
-        "receiver.closure": closure,
-        "receiver.measurement": measurement,
-        "correlator.kind": correlator,
-        "constellation": nav and str(nav),
-    }
-    given = [f"{key}={json.dumps(value)}" for key, value in options.items() if value is not None]
-    chosen = scenario.load(source, [*given, *(changes or [])])
-    _refuse_meaningless(chosen, filter=filter, measurement=measurement)
+    What no option says is as the scenario has it: see `ultratight scenarios --print NAME`.
+    """
+    from ultratight import report, results
+
+    chosen = _chosen(source, changes, nav, filter_, closure, measurement, correlator)
     if out:
         results.check_writable(out)
     if plot:
@@ -86,7 +97,7 @@ def run(
         flown.save(out)
     if plot:
         _draw([flown], plot)
-    print(json.dumps(flown.summary) if as_json else "\n".join(_report(flown)))
+    print(json.dumps(flown.summary) if as_json else "\n".join(report.report(flown)))
     if not (quiet or as_json):
         for path in (out, plot):
             if path:
@@ -98,10 +109,16 @@ def scenarios(
     name: Annotated[
         str | None, typer.Option("--print", metavar="NAME", help="print one as TOML, every key")
     ] = None,
+    keys: Annotated[
+        bool, typer.Option("--keys", help="list every key: unit, choices, default, meaning")
+    ] = False,
 ) -> None:
-    """List the scenarios that ship, with the reason why each exists."""
-    from ultratight import scenario
+    """List the scenarios that ship, and why each exists."""
+    from ultratight import report, scenario
 
+    if keys:
+        print("\n".join(report.keys()))
+        return
     if name is not None:
         print(scenario.load(name).to_toml(), end="")
         return
@@ -124,14 +141,14 @@ def filters() -> None:
 @app.command()
 def show(file: Annotated[Path, typer.Argument(metavar="FILE.nc")], as_json: Json = False) -> None:
     """Show what a saved run holds."""
-    from ultratight import results
+    from ultratight import report, results
 
     kept = results.load(file)
     if as_json:
         print(json.dumps(kept.summary))
         return
-    print("\n".join(_report(kept)))
-    print("made by " + ", ".join(f"{k} {v}" for k, v in kept.provenance.items()))
+    print("\n".join(report.report(kept)))
+    print("\n".join(report.made_with(kept.provenance)))
     for event in kept.events:
         print(f"{event.t_s:9.3f} s  {event.channel or 'receiver':12}  {event.kind}  {event.reason}")
     for name, v in sorted(kept.variables.items()):
@@ -140,14 +157,21 @@ def show(file: Annotated[Path, typer.Argument(metavar="FILE.nc")], as_json: Json
 
 
 @app.command()
-def validate(source: Source, changes: Override = None) -> None:
-    """Check a scenario and list every problem at once; fly nothing."""
-    from ultratight import scenario
-
-    chosen = scenario.load(source, changes or [])
+def validate(
+    source: Source,
+    filter_: FilterName = None,
+    closure: Closure = None,
+    measurement: Measurement = None,
+    correlator: Correlator = None,
+    changes: Override = None,
+    nav: Navigation = None,
+) -> None:
+    """Check a scenario, list every problem; fly nothing."""
+    chosen = _chosen(source, changes, nav, filter_, closure, measurement, correlator)
     for line in chosen.warnings():
         print(f"warning: {line}", file=sys.stderr)
-    print(f"{source}: valid ({chosen.name}, {chosen.duration_s:g} s, {chosen.digest()[:16]})")
+    what = f"{chosen.name}, {chosen.duration_s:g} s, scenario hash {chosen.digest()[:16]}"
+    print(f"{source}: valid ({what})")
 
 
 @app.command()
@@ -156,7 +180,10 @@ def showcase(
     seed: Seed = 1,
     quiet: Quiet = False,
 ) -> None:
-    """Fly jump-1 with three filters on the same samples, with and without the IMU's error."""
+    """Fly jump-1 with three filters, with and without its cause.
+
+    All on the same IF samples; writes a figure, the runs and a summary.
+    """
     from ultratight import showcase as script
 
     script.main(out, seed, quiet)
@@ -180,6 +207,31 @@ def _options(
 
 
 # -- what commands are made of --------------------------------------------------------------------
+
+
+def _chosen(
+    source: str,
+    changes: list[str] | None,
+    nav: Path | None,
+    filter_: str | None,
+    closure: str | None,
+    measurement: str | None,
+    correlator: str | None,
+) -> Scenario:
+    """The scenario with the options laid over it."""
+    from ultratight import scenario
+
+    options = {
+        "receiver.filter": filter_,
+        "receiver.closure": closure,
+        "receiver.measurement": measurement,
+        "correlator.kind": correlator,
+        "constellation": nav and str(nav),
+    }
+    given = [f"{key}={json.dumps(value)}" for key, value in options.items() if value is not None]
+    chosen = scenario.load(source, [*given, *(changes or [])])
+    _refuse_meaningless(chosen, filter=filter_, measurement=measurement)
+    return chosen
 
 
 def _refuse_meaningless(chosen: Scenario, **options: str | None) -> None:
@@ -240,30 +292,6 @@ def _draw(runs: Sequence[Run], path: Path) -> None:
         part.replace(path)
     finally:
         part.unlink(missing_ok=True)
-
-
-def _report(flown: Run) -> list[str]:
-    """The summary in words and numbers."""
-    s: dict[str, Any] = flown.summary
-
-    def number(value: float | None, unit: str = "") -> str:
-        return "-" if value is None else f"{value:.3g}{unit}"
-
-    how = [s["closure"], s["filter"], s["measurement"], f"taps from {s['correlator']}"]
-    velocity = "  ".join(f"{k} {number(v)}" for k, v in s["velocity_rms_mps"].items())
-    lost = ", ".join(f"{k} at {v:g} s" for k, v in s["lost_lock_s"].items() if v is not None)
-    return [
-        f"{s['scenario']}: {flown.scenario.get('title', '')}",
-        f"receiver             {', '.join(str(x) for x in how if x)}",
-        f"sky                  {s['n_satellites']} satellites, seed {s['seed']}",
-        f"velocity r.m.s. m/s  {velocity}",
-        f"position r.m.s. end  {number(s['position_rms_end_m'], ' m')}",
-        f"NEES/3, NIS/m        {number(s['nees_velocity'])}, {number(s['nis_per_measurement'])}",
-        f"converged            {'yes' if s['converged'] else 'no'}",
-        f"lost lock            {lost or 'never'} (fall-backs: {s['fall_backs']})",
-        f"time                 {s['duration_s']:g} s in {s['wall_s']:g} s "
-        f"({number(s['realtime_factor'])} x real time, {s['cpu_path']})",
-    ]
 
 
 def _failure(error: BaseException) -> tuple[int, str, list[str]] | None:
