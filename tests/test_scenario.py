@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ultratight import config, scenario
+from ultratight.provenance import provenance
 from ultratight.scenario import PRESETS, InvalidInput, Scenario, load
 
 
@@ -149,6 +150,10 @@ def test_a_navigation_file_counts_by_its_content(tmp_path: Path) -> None:
         "3fc4ccfe745870e2c0d99f71f30ff0656c8dedd41cc1d7d3d376b0dbe685e2f3"
     )
     assert load("jump-1").navigation_sha256() is None
+    told = provenance(load("jump-1", {"constellation": str(path)}), 1)
+    assert told["navigation_sha256"].startswith("3fc4ccfe")
+    assert told["scenario_sha256"] == digests[2]
+    assert "navigation_sha256" not in provenance(load("jump-1"), 1)
 
 
 def test_another_world_does_not_keep_title_and_reason(tmp_path: Path) -> None:
