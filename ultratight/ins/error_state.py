@@ -8,7 +8,7 @@ error = true - estimate, C_true = (I + [psi x]) C_est, all resolved in ECEF axes
     psi' = -W x psi - C b_g + white
     b_a', b_g', s' = white                                      (random walks)
     cb' = cd + white S_f,   cd' = white S_g
-    p_i' = -u_i . (v + psi x w) + cd + the same white S_f       (carrier phase of channel i, metres)
+    p_i' = -u_i . (v + psi x w) - u_i' . r + cd + the same white S_f   (carrier phase, metres)
 
 with u_i the unit vector to the satellite and w the velocity C (omega x lever arm) of the antenna
 with respect to the IMU.  The biases of a Gauss-Markov sensor error (sigma, tau) beside a constant
@@ -93,6 +93,7 @@ def transition(
     u: np.ndarray,
     T: float,
     antenna_velocity_e: np.ndarray | None = None,
+    u_rate: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Phi = I + F T + (F T)^2 / 2 and Q = T (Phi G Phi' + G) / 2 over an epoch of T seconds.
 
@@ -107,6 +108,8 @@ def transition(
     T : float
     antenna_velocity_e : (3,) array, optional
         C (omega_eb x lever arm), velocity of the antenna with respect to the IMU.
+    u_rate : (n_phase, 3) array, optional
+        Turn of the lines of sight [1/s]: some 1e-4, a velocity where the position error is metres.
 
     Returns
     -------
@@ -116,8 +119,9 @@ def transition(
     if layout.n_phase > u.shape[0]:
         raise ValueError(f"u of shape {u.shape}: expected ({layout.n_phase}, 3) or more rows")
     w = np.zeros(3) if antenna_velocity_e is None else antenna_velocity_e
+    du = np.zeros(u.shape) if u_rate is None else u_rate
     Phi, Q = np.empty((layout.n, layout.n)), np.empty((layout.n, layout.n))
-    _transition(r_eb_e, C_b_e, f_ib_b, T, u, w, layout.n_scale, layout.n_phase, noise, Phi, Q)
+    _transition(r_eb_e, C_b_e, f_ib_b, T, u, du, w, layout.n_scale, layout.n_phase, noise, Phi, Q)
     return Phi, Q
 
 
@@ -130,6 +134,7 @@ def system_matrix(
     C: np.ndarray,
     f: np.ndarray,
     u: np.ndarray,
+    du: np.ndarray,
     w: np.ndarray,
     n_scale: int,
     n_phase: int,
@@ -159,6 +164,7 @@ def system_matrix(
     for i in range(n_phase):
         for j in range(3):
             F[p + i, V + j] = -u[i, j]
+            F[p + i, R + j] = -du[i, j]
         # -u . (psi x w) = (u x w) . psi
         F[p + i, PSI] = u[i, 1] * w[2] - u[i, 2] * w[1]
         F[p + i, PSI + 1] = u[i, 2] * w[0] - u[i, 0] * w[2]
@@ -173,6 +179,7 @@ def _transition(
     f: np.ndarray,
     T: float,
     u: np.ndarray,
+    du: np.ndarray,
     w: np.ndarray,
     n_scale: int,
     n_phase: int,
@@ -183,7 +190,7 @@ def _transition(
     """Phi and Q (n, n); F is sparse, and both products walk over its entries only."""
     n = Phi.shape[0]
     F = np.empty((n, n))
-    system_matrix(r, C, f, u, w, n_scale, n_phase, F)
+    system_matrix(r, C, f, u, du, w, n_scale, n_phase, F)
     first_phase = SCALE_FACTOR + n_scale
     for i in range(n):
         for j in range(n):

@@ -99,7 +99,7 @@ def differential(
     z, R, A = np.empty((nb, 3)), np.zeros((nb, 3, 3)), np.zeros((nb, 2, n_state))
     params = np.empty((nb, 4))
     _build(bits, los, lag1, spacing_chips, params, A, 1)
-    _z_differential(bits.iq, bits.channel, bits.half_s, amplitude2, clock_sf, z, R)
+    _z_differential(bits.iq, bits.channel, params, amplitude2, clock_sf, z, R)
     model = DifferentialModel(params)
     return Measurement(z, A, R, model, model.jacobian, bits.channel)
 
@@ -120,7 +120,7 @@ def coherent(
     params = np.empty((nb, 4))
     _build(bits, los, lag1, spacing_chips, params, A, 2)
     _phase_rows(bits.channel, bits.t_mid_s - los.t_s, los.u, los.arm_e, phase_start, A)
-    _z_coherent(bits.iq, bits.channel, data, amplitude2, z, R)
+    _z_coherent(bits.iq, bits.channel, data, params, amplitude2, z, R)
     model = CoherentModel(params)
     return Measurement(z, A, R, model, model.jacobian, bits.channel)
 
@@ -194,10 +194,17 @@ def _phase_rows(
 
 
 @kernel
+def _split_noise(params: np.ndarray) -> float:
+    """Half of the variance of L - E per component and half bit: 1 - R(2 spacing); 1/2 at 0.25."""
+    lag1, spacing = params[0], params[3]
+    return 1.0 - _correlation(2.0 * spacing, lag1)
+
+
+@kernel
 def _z_differential(
     iq: np.ndarray,
     channel: np.ndarray,
-    half_s: np.ndarray,
+    params: np.ndarray,
     amplitude2: np.ndarray,
     clock_sf: float,
     z: np.ndarray,
@@ -215,8 +222,8 @@ def _z_differential(
         r = 2.0 / a2 + 2.0 / a2**2
         R[b, 0, 0] = r
         # white frequency noise of the oscillator turns one half against the other
-        R[b, 1, 1] = r + (2.0 * np.pi / WAVELENGTH_M) ** 2 * clock_sf * (2.0 / 3.0) * half_s[b]
-        R[b, 2, 2] = 0.5 * (1.0 / a2 + 2.0 / a2**2)
+        R[b, 1, 1] = r + (2.0 * np.pi / WAVELENGTH_M) ** 2 * clock_sf * (2.0 / 3.0) * params[b, 2]
+        R[b, 2, 2] = _split_noise(params[b]) * (1.0 / a2 + 2.0 / a2**2)
 
 
 @kernel
@@ -224,6 +231,7 @@ def _z_coherent(
     iq: np.ndarray,
     channel: np.ndarray,
     data: np.ndarray,
+    params: np.ndarray,
     amplitude2: np.ndarray,
     z: np.ndarray,
     R: np.ndarray,
@@ -239,7 +247,7 @@ def _z_coherent(
         z[b, 2] = 0.5 * (s1 + s2) / a2
         R[b, 0, 0] = 0.5 / a2
         R[b, 1, 1] = 0.5 / a2
-        R[b, 2, 2] = 0.5 * (1.0 / a2 + 2.0 / a2**2)
+        R[b, 2, 2] = _split_noise(params[b]) * (1.0 / a2 + 2.0 / a2**2)
 
 
 @kernel

@@ -76,10 +76,12 @@ def predict_now(s: Steering, rows: np.ndarray, tow_s: float, lever_arm_b: np.nda
 @kernel
 def advance_ins(s: Steering, alpha: np.ndarray, nu: np.ndarray, dt: float) -> None:
     """Strapdown and clock over one IMU interval of raw increments (3,), (3,)."""
-    corrected_alpha = alpha - s.gyro_bias * dt
-    corrected_nu = nu - s.accel_bias * dt
+    # the increments span true time, the stamps are those of the receiver's clock
+    elapsed = dt * (1.0 - s.clock[1] / C_MPS)
+    corrected_alpha = alpha - s.gyro_bias * elapsed
+    corrected_nu = nu - s.accel_bias * elapsed
     r, v, C = strapdown_step(
-        s.r_eb_e, s.v_eb_e, s.C_b_e, corrected_alpha, corrected_nu, s.last_alpha, s.last_nu, dt
+        s.r_eb_e, s.v_eb_e, s.C_b_e, corrected_alpha, corrected_nu, s.last_alpha, s.last_nu, elapsed
     )
     s.r_eb_e[:] = r
     s.v_eb_e[:] = v
@@ -204,6 +206,8 @@ def mean_known(known_t_s: np.ndarray, cubic: np.ndarray, t_start_s: float, t_end
     """Mean over [t_start_s, t_end_s] of piecewise cubics (n_memory, 4)."""
     total = 0.0
     for k in range(known_t_s.shape[0]):
+        if known_t_s[k, 1] <= t_start_s:
+            continue
         a = max(t_start_s, known_t_s[k, 0]) - known_t_s[k, 0]
         b = min(t_end_s, known_t_s[k, 1]) - known_t_s[k, 0]
         if b > a:

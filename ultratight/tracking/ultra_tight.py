@@ -102,6 +102,7 @@ class UltraTight:
         s.last_nu[:] = k.first_nu
         s.last_alpha[:] = k.first_alpha
         predict_now(s, k.elements, k.start_tow_s, k.lever_arm_b_m)
+        self.u_before = s.u.copy()
 
     def steer(self, t_end_s: float, imu: Increments) -> Nco:
         """Command one piece per increment of the epoch; each uses only earlier increments."""
@@ -176,8 +177,9 @@ class UltraTight:
         s = self.steering
         phi, q = transition(
             self.layout, self.noise, s.r_eb_e, s.C_b_e, s.mean_force[0], s.u,
-            self.settings.epoch_s, self._arm_rate(),
+            self.settings.epoch_s, self._arm_rate(), (s.u - self.u_before) / self.settings.epoch_s,
         )  # fmt: skip
+        self.u_before[:] = s.u
         return Prediction(
             phi, q, self.t_s, self.epoch, self.settings.epoch_s, s.mean_force[0].copy(),
             s.mean_force[0] - s.mean_force[1] if self.epoch else np.zeros(3),
