@@ -182,7 +182,11 @@ def test_keys_are_described_as_they_are() -> None:
     described = {key.name: key for key in config.keys(Scenario)}
     lag = described["imu.lag_s"]
     assert lag[1:4] == ("s", "number 0 to 1", "left out")
-    assert described["imu.lever_arm_b_m"][1:4] == ("m", "[number] x 3", "[0.0, 0.0, 0.0]")
+    assert described["imu.lever_arm_b_m"][1:4] == (
+        "m",
+        "[number -1000 to 1000] x 3",
+        "[0.0, 0.0, 0.0]",
+    )
     assert described["receiver.epoch_s"][1:4] == ("s", "number 0.001 to 1", "0.02")
     assert described["imu.velocity_random_walk_mps_sqrt_s"].unit == "m/s/sqrt(s)"
     assert described["duration_s"].default == "required"

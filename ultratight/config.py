@@ -46,7 +46,7 @@ def parse_toml(text: str, source: str) -> dict[str, Any]:
 def read_toml(path: Path) -> dict[str, Any]:
     """A TOML file as a dict.  `InvalidInput` names a missing, unreadable or binary file."""
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
         raise InvalidInput(f"{path}: no such file, expected a scenario (TOML)") from None
     except UnicodeDecodeError:

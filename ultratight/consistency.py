@@ -52,6 +52,19 @@ def contradictions(s: Scenario) -> Found:
             f"{epoch:g}",
             f"a multiple of the IMU interval {1.0 / s.imu.rate_hz:g} s",
         )
+    for name in ("bit_edges", "ephemerides", "initial_state"):
+        if not getattr(receiver.knows, name):
+            refuse(
+                f"receiver.knows.{name}",
+                "false",
+                "true: acquisition, bit synchronisation and decoding are not built yet",
+            )
+    if s.correlator.multiple_access and s.correlator.kind == "samples":
+        refuse(
+            "correlator.multiple_access correlator.kind",
+            "true",
+            'kind = "model": samples hold the other satellites themselves',
+        )
     coherent = tight and receiver.measurement == "coherent"
     if coherent and not receiver.knows.data_bits:
         refuse(

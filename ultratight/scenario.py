@@ -29,9 +29,10 @@ __all__ = [
     "preset_tree",
 ]
 
-Positive = Annotated[float, Field(gt=0.0)]
-NotNegative = Annotated[float, Field(ge=0.0)]
-Vector3 = tuple[float, float, float]
+Positive = Annotated[float, Field(gt=0.0, le=1e6)]
+NotNegative = Annotated[float, Field(ge=0.0, le=1e6)]
+Arm = Annotated[float, Field(ge=-1_000.0, le=1_000.0)]
+Tau = Annotated[float, Field(ge=0.01, le=1e9)]
 Dbhz = Annotated[float, Field(ge=0.0, le=70.0)]
 Prn = Annotated[int, Field(ge=1, le=210)]
 Ppm = Annotated[float, Field(ge=-1e5, le=1e5)]
@@ -82,7 +83,9 @@ class Segment(_Table):
 class Channel(_Table):
     """What the path does to the signals."""
 
-    cn0_by_prn_dbhz: dict[Annotated[str, Field(pattern=r"^G\d{2,3}$")], Dbhz] = {}
+    cn0_by_prn_dbhz: dict[
+        Annotated[str, Field(pattern=r"^G(0[1-9]|[1-9]\d|1\d\d|20\d|210)$")], Dbhz
+    ] = {}
     """Satellites that differ from ``cn0_dbhz``: {"G07": 40.0}"""
     cn0_profile_s_db: tuple[tuple[float, Annotated[float, Field(ge=-70, le=70)]], ...] = ()
     """(t_s, offset in dB on every satellite), linear between the points, constant outside"""
@@ -94,15 +97,15 @@ class Imu(_Table):
     grade: str = "industrial-mems"
     """A row of sensor data; the keys below that are left out are as it has them"""
     rate_hz: Annotated[float, Field(ge=10.0, le=10_000.0)] = 200.0
-    lever_arm_b_m: Vector3 = (0.0, 0.0, 0.0)
+    lever_arm_b_m: tuple[Arm, Arm, Arm] = (0.0, 0.0, 0.0)
     """From the IMU to the antenna, forward-right-down"""
-    accel_bias_mg: NotNegative | None = None
+    accel_bias_mg: Annotated[float, Field(ge=0.0, le=1e4)] | None = None
     """Turn-on, 1 sigma"""
     accel_bias_in_run_ug: NotNegative | None = None
     """First-order Gauss-Markov, 1 sigma"""
-    accel_bias_tau_s: Positive | None = None
+    accel_bias_tau_s: Tau | None = None
     """Its correlation time"""
-    velocity_random_walk_mps_sqrt_s: NotNegative | None = None
+    velocity_random_walk_mps_sqrt_s: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
     """White noise of the accelerometers"""
     accel_scale_factor_ppm: tuple[Ppm, Ppm, Ppm] | None = None
     """A fixed error per axis"""
@@ -116,17 +119,17 @@ class Imu(_Table):
     """Time constant of a first-order lag of all sensors"""
     saturation_g: Positive | None = None
     """Accelerometers end here; no limit when left out (no grade has one)"""
-    gyro_bias_deg_h: NotNegative | None = None
+    gyro_bias_deg_h: Annotated[float, Field(ge=0.0, le=1e5)] | None = None
     """Turn-on, 1 sigma"""
-    gyro_bias_in_run_deg_h: NotNegative | None = None
+    gyro_bias_in_run_deg_h: Annotated[float, Field(ge=0.0, le=1e5)] | None = None
     """First-order Gauss-Markov, 1 sigma"""
-    gyro_bias_tau_s: Positive | None = None
+    gyro_bias_tau_s: Tau | None = None
     """Its correlation time"""
-    angle_random_walk_rad_sqrt_s: NotNegative | None = None
+    angle_random_walk_rad_sqrt_s: Annotated[float, Field(ge=0.0, le=0.1)] | None = None
     """White noise of the gyros"""
     gyro_scale_factor_ppm: Annotated[float, Field(ge=0.0, le=1e5)] | None = None
     """1 sigma, drawn per axis and run"""
-    gyro_g_dependence_deg_h_g: NotNegative | None = None
+    gyro_g_dependence_deg_h_g: Annotated[float, Field(ge=0.0, le=1e4)] | None = None
     """1 sigma, drawn per axis and run"""
 
 
@@ -134,7 +137,7 @@ class Clock(_Table):
     """The receiver's oscillator."""
 
     model: str = "tcxo"
-    bias_m: Annotated[float, Field(ge=-3e8, le=3e8)] = 300.0
+    bias_m: Annotated[float, Field(ge=-3e6, le=3e6)] = 300.0
     """At the start: c times the time that the receiver is ahead"""
     drift_mps: Annotated[float, Field(ge=-30_000.0, le=30_000.0)] = 30.0
     """At the start: c times the relative frequency error"""
@@ -172,22 +175,22 @@ class Knows(_Table):
     """Only true is built"""
     initial_state: bool = True
     """Only true is built"""
-    position_sigma_m: Positive = 5.0
-    velocity_sigma_mps: Positive = 0.5
-    tilt_sigma_mrad: Positive = 1.5
-    heading_sigma_mrad: Positive = 3.0
-    clock_sigma_m: Positive = 10.0
-    clock_rate_sigma_mps: Positive = 0.5
-    cn0_sigma_db: NotNegative = 1.0
+    position_sigma_m: Annotated[float, Field(gt=0.0, le=1e3)] = 5.0
+    velocity_sigma_mps: Annotated[float, Field(gt=0.0, le=50.0)] = 0.5
+    tilt_sigma_mrad: Annotated[float, Field(gt=0.0, le=200.0)] = 1.5
+    heading_sigma_mrad: Annotated[float, Field(gt=0.0, le=200.0)] = 3.0
+    clock_sigma_m: Annotated[float, Field(gt=0.0, le=3e3)] = 10.0
+    clock_rate_sigma_mps: Annotated[float, Field(gt=0.0, le=50.0)] = 0.5
+    cn0_sigma_db: Annotated[float, Field(ge=0.0, le=10.0)] = 1.0
 
 
 class ProcessNoise(_Table):
     """What the filter believes of IMU and clock; a key left out is the true data sheet's value."""
 
-    velocity_random_walk_mps_sqrt_s: NotNegative | None = None
-    angle_random_walk_rad_sqrt_s: NotNegative | None = None
+    velocity_random_walk_mps_sqrt_s: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
+    angle_random_walk_rad_sqrt_s: Annotated[float, Field(ge=0.0, le=0.1)] | None = None
     accel_bias_in_run_ug: NotNegative | None = None
-    gyro_bias_in_run_deg_h: NotNegative | None = None
+    gyro_bias_in_run_deg_h: Annotated[float, Field(ge=0.0, le=1e5)] | None = None
     clock_model: str | None = None
 
 
@@ -200,7 +203,7 @@ class Receiver(_Table):
     """Ultra-tight only; see `ultratight filters`"""
     measurement: Literal["coherent", "differential"] = "coherent"
     """Ultra-tight only: carrier phase with known data bits, or phase change within a bit"""
-    epoch_s: Annotated[float, Field(ge=0.001, le=1.0)] = 0.02
+    epoch_s: Annotated[float, Field(ge=0.001, le=0.1)] = 0.02
     """Ultra-tight closure: one filter step and one command; scalar loops close at their own"""
     """Ultra-tight only: how often the filter updates"""
     hand_over_s: NotNegative = 2.0

@@ -121,12 +121,20 @@ class World:
         order = np.argsort(-elevation, kind="stable")
         chosen = np.sort([i for i in order if keep[i]][: s.max_satellites])
         if len(chosen) < FEWEST_SATELLITES:
-            raise InvalidInput(
-                f"mask_deg: {len(chosen)} satellites of {s.constellation} at or above "
-                f"{s.mask_deg:g} deg at the start, expected at least {FEWEST_SATELLITES}"
-                + _other_sky(s)
-            )
+            raise InvalidInput(self._too_few(len(chosen), int((elevation >= s.mask_deg).sum())))
         self.prn, self.elements = prn[chosen], np.ascontiguousarray(rows[chosen])
+
+    def _too_few(self, kept: int, risen: int) -> str:
+        """Name the key that left too few satellites."""
+        s = self.scenario
+        least = f"expected at least {FEWEST_SATELLITES}"
+        if risen < FEWEST_SATELLITES:
+            return (
+                f"mask_deg: {risen} satellites of {s.constellation} at or above {s.mask_deg:g} deg "
+                f"at the start, {least}{_other_sky(s)}"
+            )
+        key = "max_satellites" if s.prns is None else "prns"
+        return f"{key}: leaves {kept} of {risen} satellites above the mask, {least}"
 
     @property
     def names(self) -> list[str]:
@@ -168,6 +176,13 @@ class World:
 
     def _cn0_dbhz(self) -> np.ndarray:
         s = self.scenario
+        foreign = set(s.channel.cn0_by_prn_dbhz) - {f"G{p:02d}" for p in self.prn}
+        if foreign:
+            seen = ", ".join(f"G{p:02d}" for p in self.prn)
+            raise InvalidInput(
+                f"channel.cn0_by_prn_dbhz: {', '.join(sorted(foreign))} given, expected some of "
+                f"the satellites in view: {seen}"
+            )
         level = np.array([s.channel.cn0_by_prn_dbhz.get(f"G{p:02d}", s.cn0_dbhz) for p in self.prn])
         if not s.channel.cn0_profile_s_db:
             return level
@@ -234,15 +249,9 @@ class World:
     def knows(self) -> Knows:
         """What the receiver is told: drawn around the truth with the stated sigmas."""
         s, k = self.scenario, self.scenario.receiver.knows
-        for key in ("bit_edges", "ephemerides", "initial_state"):
-            if not getattr(k, key):
-                raise Unsupported(
-                    f"receiver.knows.{key}: false given, expected true (acquisition, bit "
-                    "synchronisation and navigation-data decoding are not built yet)"
-                )
         rng = generator(self.seed, "receiver.initial-state")
         m = self.trajectory.at(self.true_time(np.zeros(1)))
-        lat, lon, _ = np.radians(s.position_lla_deg_m[:2]).tolist() + [0.0]
+        lat, lon = np.radians(s.position_lla_deg_m[:2])
         tilt, heading = 1e-3 * k.tilt_sigma_mrad, 1e-3 * k.heading_sigma_mrad
         r = m.r_eb_e[0] - k.position_sigma_m * rng.standard_normal(3)
         v = m.v_eb_e[0] - k.velocity_sigma_mps * rng.standard_normal(3)
