@@ -187,7 +187,7 @@ def test_keys_are_described_as_they_are() -> None:
         "[number -1000 to 1000] x 3",
         "[0.0, 0.0, 0.0]",
     )
-    assert described["receiver.epoch_s"][1:4] == ("s", "number 0.001 to 1", "0.02")
+    assert described["receiver.epoch_s"][1:4] == ("s", "number 0.001 to 0.1", "0.02")
     assert described["imu.velocity_random_walk_mps_sqrt_s"].unit == "m/s/sqrt(s)"
     assert described["duration_s"].default == "required"
     assert described["duration_s"].expected == "number more than 0 and 86400 or less"
