@@ -191,7 +191,7 @@ def test_keys_are_described_as_they_are() -> None:
     assert described["imu.velocity_random_walk_mps_sqrt_s"].unit == "m/s/sqrt(s)"
     assert described["duration_s"].default == "required"
     assert described["duration_s"].expected == "number more than 0 and 86400 or less"
-    assert described["profile.t1_s"].expected == "number more than 0"
+    assert described["profile.t1_s"].expected == "number more than 0 and 1e+06 or less"
     assert described["correlator.kind"].expected == "model or samples"
     assert described["receiver.pll_order"].expected == "2 or 3"
 
