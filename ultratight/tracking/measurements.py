@@ -23,6 +23,7 @@ A known rotation between NCO and reference (`steering`) is taken out of the taps
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -33,6 +34,7 @@ from ultratight.filters.gaussian import Measurement
 from ultratight.tracking.half_bits import EARLY, LATE, PROMPT, Bits
 from ultratight.tracking.steering import WAVELENGTH_M
 
+Kernel = Callable[[np.ndarray, np.ndarray, np.ndarray], None]
 CHIP_M = C_MPS / CA_CHIP_RATE_HZ
 
 
@@ -47,42 +49,33 @@ class LineOfSight(NamedTuple):
     force_e: np.ndarray  # (3,) mean specific force in ECEF [m/s2]
 
 
-class DifferentialModel:
-    """h and its Jacobian for model D; ``params`` (nb, 4): R1, known offset [m], T_h, spacing."""
+class TapModel:
+    """h and its Jacobian; ``params`` (nb, 4): R1, known offset [m], T_h [s], spacing [chips]."""
 
-    def __init__(self, params: np.ndarray) -> None:
-        self.params = params
+    def __init__(self, params: np.ndarray, h: Kernel, jacobian: Kernel) -> None:
+        self.params, self._h, self._jacobian = params, h, jacobian
 
     def __call__(self, y: np.ndarray) -> np.ndarray:
-        """Predicted z (nb, p, 3) at points y (nb, p, 2)."""
+        """Predicted z (nb, p, 3) at points y (nb, p, d)."""
         z = np.empty((y.shape[0], y.shape[1], 3))
-        _h_differential(y, self.params, z)
+        self._h(y, self.params, z)
         return z
 
     def jacobian(self, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """z (nb, 3) and dz/dy (nb, 3, 2) at y (nb, 2)."""
-        J = np.empty((y.shape[0], 3, 2))
-        _jacobian_differential(y, self.params, J)
+        """z (nb, 3) and dz/dy (nb, 3, d) at y (nb, d)."""
+        J = np.empty((y.shape[0], 3, y.shape[1]))
+        self._jacobian(y, self.params, J)
         return self(y[:, None, :])[:, 0], J
 
 
-class CoherentModel:
-    """h and its Jacobian for model C; ``params`` as in `DifferentialModel`."""
+def differential_model(params: np.ndarray) -> TapModel:
+    """Model D: d = 2."""
+    return TapModel(params, _h_differential, _jacobian_differential)
 
-    def __init__(self, params: np.ndarray) -> None:
-        self.params = params
 
-    def __call__(self, y: np.ndarray) -> np.ndarray:
-        """Predicted z (nb, p, 3) at points y (nb, p, 3)."""
-        z = np.empty((y.shape[0], y.shape[1], 3))
-        _h_coherent(y, self.params, z)
-        return z
-
-    def jacobian(self, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """z (nb, 3) and dz/dy (nb, 3, 3) at y (nb, 3)."""
-        J = np.empty((y.shape[0], 3, 3))
-        _jacobian_coherent(y, self.params, J)
-        return self(y[:, None, :])[:, 0], J
+def coherent_model(params: np.ndarray) -> TapModel:
+    """Model C: d = 3."""
+    return TapModel(params, _h_coherent, _jacobian_coherent)
 
 
 def differential(
@@ -100,7 +93,7 @@ def differential(
     params = np.empty((nb, 4))
     _build(bits, los, lag1, spacing_chips, params, A, 1)
     _z_differential(bits.iq, bits.channel, params, amplitude2, clock_sf, z, R)
-    model = DifferentialModel(params)
+    model = differential_model(params)
     return Measurement(z, A, R, model, model.jacobian, bits.channel)
 
 
@@ -121,7 +114,7 @@ def coherent(
     _build(bits, los, lag1, spacing_chips, params, A, 2)
     _phase_rows(bits.channel, bits.t_mid_s - los.t_s, los.u, los.arm_e, phase_start, A)
     _z_coherent(bits.iq, bits.channel, data, params, amplitude2, z, R)
-    model = CoherentModel(params)
+    model = coherent_model(params)
     return Measurement(z, A, R, model, model.jacobian, bits.channel)
 
 

@@ -15,9 +15,7 @@ from ultratight.ins.imu import Increments
 from ultratight.tracking.half_bits import PROMPT, Bits, HalfBits
 from ultratight.tracking.knows import Knows
 from ultratight.tracking.lock import LockMonitor
-from ultratight.tracking.measurements import LineOfSight
-from ultratight.tracking.measurements import coherent as coherent_model
-from ultratight.tracking.measurements import differential as differential_model
+from ultratight.tracking.measurements import LineOfSight, coherent, differential
 from ultratight.tracking.steering import (
     WAVELENGTH_M,
     antenna,
@@ -168,10 +166,10 @@ class UltraTight:
         if data is not None and bits.channel.size:
             self.prompt[bits.channel] = data * bits.iq[:, :, PROMPT].sum(axis=1)
         if not self.coherent:
-            return differential_model(bits, los, self.layout.n, *shared, self.noise.clock_sf)
+            return differential(bits, los, self.layout.n, *shared, self.noise.clock_sf)
         if data is None:
             raise ValueError("receiver.knows.data_bits: the coherent model needs them")
-        return coherent_model(bits, los, self.layout.n, self.layout.phase.start, data, *shared)
+        return coherent(bits, los, self.layout.n, self.layout.phase.start, data, *shared)
 
     def _prediction(self) -> Prediction:
         s = self.steering
