@@ -238,7 +238,11 @@ def test_a_run_without_taps_and_cn0_still_makes_a_page(runs: list[Run]) -> None:
 
 
 def test_page_says_what_was_flown_and_how_it_ended(runs: list[Run]) -> None:
+    without = make_run("kf", 0.01)
+    without.scenario["imu"]["accel_scale_factor_ppm"] = [0.0, 0.0, 0.0]
+    assert "+3000 ppm on x (the cause)" in plots.figure(runs, controls=[without]).get_suptitle()
     text = plots.figure(runs).get_suptitle()
+    assert "the cause" not in text
     assert "+100 m/s² from 20 s" in text
     assert "ultra-tight" in text
     assert "(KF, FIQKF-R)" in text
@@ -263,7 +267,7 @@ def test_outcome_groups_runs_that_fared_alike(runs: list[Run]) -> None:
     told = plots_text.outcome([bad, bad, good], ["KF", "QKF", "FIQKF-R"], [good, good, good])
     assert told == (
         "KF, QKF: 10 of 10 channels lost lock, not converged; FIQKF-R: 0 of 10, converged; "
-        "without the cause all converge and no channel loses lock"
+        "without the cause all converge, none loses lock"
     )
 
 
@@ -273,4 +277,6 @@ def test_outcome_tells_of_controls_that_fail_and_of_fall_backs(runs: list[Run]) 
         "KF: 3 of 10 channels lost lock, 2 fall-backs, converged; "
         "without the cause KF: 1 of 10 channels lost lock, not converged"
     )
+    alone = plots_text.outcome([run], ["KF"], [fate(runs[0], 0, True)])
+    assert alone.endswith("; without the cause it converges, no loss of lock")
     assert plots_text.outcome([replace(run, summary={})], ["KF"]) == ""

@@ -150,20 +150,20 @@ def lock_events(runs: Sequence[Run], ax: Axes, labels: Sequence[str] | None = No
     return _finish(ax, runs)
 
 
-def background(run: Run, ax: Axes, named: bool = True) -> Axes:
+def background(runs: Sequence[Run], ax: Axes, named: bool = True) -> Axes:
     """What happens to the receiver, behind the curves; to be drawn before them.
 
     Acceleration is shaded; a dotted line stands at the first change to coherent measurements.
     """
-    for k, (start, stop) in enumerate(_accelerated(run)):
+    for k, (start, stop) in enumerate(_accelerated(runs[0])):
         text = "acceleration" if named and k == 0 else None
         ax.axvspan(start, stop, color="black", alpha=0.08, linewidth=0.0, zorder=0.0, label=text)
-    over = [event.t_s for event in run.events if event.kind == OVER]
+    over = {event.t_s for run in runs for event in run.events if event.kind == OVER}
     if over:
         text = "hand-over" if len(over) == 1 else "first hand-over"
-        ax.axvline(
-            over[0], color="black", linestyle=":", linewidth=1.0, label=text if named else None
-        )
+        line = ax.axvline(min(over), color="black", linestyle=":", linewidth=1.0)
+        if named:
+            line.set_label(text)
     return ax
 
 
@@ -198,16 +198,16 @@ def figure(
         panels.append((1.2, draw))
     n_bar = min(40, len(runs[0]["channel"]) * len(runs))
     panels.append((1.0 + 0.06 * n_bar, partial(lock_events, runs, labels=names)))
-    words = title or plots_text.title(runs, names)
-    return _page(runs[told], panels, f"{words}\n{plots_text.outcome(runs, names, controls)}")
+    words = title or plots_text.title(runs, names, controls)
+    return _page(runs, panels, f"{words}\n{plots_text.outcome(runs, names, controls)}")
 
 
-def _page(run: Run, panels: Sequence[Panel], words: str) -> Figure:
+def _page(runs: Sequence[Run], panels: Sequence[Panel], words: str) -> Figure:
     heights = [inches for inches, _ in panels]
     page = Figure(figsize=(9.0, 1.0 + 1.25 * sum(heights)), layout="constrained")
     axes = page.subplots(len(panels), 1, sharex=True, height_ratios=heights, squeeze=False)[:, 0]
     for k, ((_, draw), ax) in enumerate(zip(panels, axes, strict=True)):
-        draw(background(run, ax, named=k == 0)).set_xlabel("")
+        draw(background(runs, ax, named=k == 0)).set_xlabel("")
     axes[-1].set_xlabel("receiver time [s]")
     page.suptitle(plots_text.typeset(words), fontsize=9.0, x=0.01, ha="left")
     return page

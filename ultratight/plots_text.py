@@ -9,7 +9,7 @@ from ultratight.results import Run
 
 CLOSURES = {"scalar-ins": "scalar-INS"}
 LOST_LOCK = " channels lost lock"
-LINE = 125
+LINE = 134
 """Characters in a line of the title"""
 TAPS = {"model": "taps in closed form", "samples": "taps from IF samples"}
 
@@ -26,7 +26,7 @@ def label(run: Run) -> str:
     return CLOSURES.get(closure, closure)
 
 
-def title(runs: Sequence[Run], labels: Sequence[str]) -> str:
+def title(runs: Sequence[Run], labels: Sequence[str], controls: Sequence[Run] = ()) -> str:
     """What was flown, and by what kind of receiver."""
     first = runs[0]
     s = first.summary
@@ -38,6 +38,8 @@ def title(runs: Sequence[Run], labels: Sequence[str]) -> str:
     how = ", ".join(part for part in (who, taps, f"seed {first.seed}") if part)
     if closures != ["scalar"]:  # which has no IMU
         how += f"; accelerometer scale-factor error {_scale_factor(first)}"
+        if any(_scale_factor(control) != _scale_factor(first) for control in controls):
+            how += " (the cause)"
     return f"{s.get('scenario', '')}: {first.scenario.get('title', '')}\n{how}"
 
 
@@ -51,8 +53,8 @@ def outcome(runs: Sequence[Run], labels: Sequence[str], controls: Sequence[Run] 
     clauses = _clauses(runs, labels)
     if controls:
         if all(run.summary["converged"] and not _n_lost(run) for run in controls):
-            all_ = "all converge" if len(controls) > 1 else "it converges"
-            clauses.append(f"without the cause {all_} and no channel loses lock")
+            well = "all converge, none loses" if len(controls) > 1 else "it converges, no loss of"
+            clauses.append(f"without the cause {well} lock")
         else:
             names = [label(run) for run in controls]
             clauses.append("without the cause " + "; ".join(_clauses(controls, names)))
