@@ -213,7 +213,7 @@ def test_samples_agree_with_the_closed_form():
 
 @pytest.mark.parametrize("measurement", ["coherent", "differential"])
 def test_each_component_of_the_innovation_is_as_wide_as_said(measurement):
-    """Specification 10.2: NIS of I, Q and S, each 0.95 to 1.03 in uniform motion (after 5 s)."""
+    """Specification 10.2: NIS of I, Q and S, each 0.95 to 1.03 in uniform motion."""
 
     class Listener:
         def __init__(self):
@@ -232,7 +232,8 @@ def test_each_component_of_the_innovation_is_as_wide_as_said(measurement):
 
     listener = Listener()
     chosen = scenario("uniform", "qkf", **MATCHED, **{"receiver.measurement": measurement})
-    ultratight.run(chosen, 2, filter=listener)
+    for seed in (2, 3, 4):
+        ultratight.run(chosen, seed, filter=listener)
     component = listener.sum / listener.n
     assert np.all((component > 0.95) & (component < 1.03)), component
 

@@ -106,6 +106,7 @@ def coherent(
     lag1: np.ndarray,
     spacing_chips: float,
     amplitude2: np.ndarray,
+    clock_sf: float = 0.0,
 ) -> Measurement:
     """Model C.  phase_start: first row of the channel phases; data (nb,): known bits of +-1."""
     nb = bits.channel.size
@@ -114,6 +115,10 @@ def coherent(
     _build(bits, los, lag1, spacing_chips, params, A, 2)
     _phase_rows(bits.channel, bits.t_mid_s - los.t_s, los.u, los.arm_e, phase_start, A)
     _z_coherent(bits.iq, bits.channel, data, params, amplitude2, z, R)
+    # The covariance holds the clock's white frequency noise up to t; a bit that was centred at
+    # t_mid has not met the last of it, and met its own share as a mean over two halves.
+    unmet = clock_sf * (los.t_s - bits.t_mid_s - bits.half_s / 6.0)
+    R[:, 1, 1] -= np.minimum((2.0 * np.pi / WAVELENGTH_M) ** 2 * unmet, 0.5 * R[:, 1, 1])
     model = coherent_model(params)
     return Measurement(z, A, R, model, model.jacobian, bits.channel)
 

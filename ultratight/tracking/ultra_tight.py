@@ -169,7 +169,9 @@ class UltraTight:
             return differential(bits, los, self.layout.n, *shared, self.noise.clock_sf)
         if data is None:
             raise ValueError("receiver.knows.data_bits: the coherent model needs them")
-        return coherent(bits, los, self.layout.n, self.layout.phase.start, data, *shared)
+        return coherent(
+            bits, los, self.layout.n, self.layout.phase.start, data, *shared, self.noise.clock_sf
+        )
 
     def _prediction(self) -> Prediction:
         s = self.steering
