@@ -77,29 +77,26 @@ class SampleCorrelator:
         """Correlate over all pieces of the command; return the integrations that ended."""
         fs = self._source.sample_rate_hz
         nco = Nco(*(np.ascontiguousarray(a, t) for a, t in zip(nco, _NCO_TYPES, strict=True)))
-        self._check(nco, fs)
+        self._check(nco)
         edge = first_sample_at(nco.t_s, fs).tolist()
         if edge[0] != self._end_sample:
             self._position[:, 0] = 0
         self._end_sample = edge[-1]
-        rows = self._rows(nco)
+        room = _room(nco, fs)
+        if room < 0:
+            raise ValueError(_what_is_wrong(nco, fs))
+        rows = self._rows(room)
         for p, (first, end) in enumerate(zip(edge[:-1], edge[1:], strict=True)):
             for a in range(first, end, _BLOCK):
                 self._run(a, min(a + _BLOCK, end), p, nco, rows)
         return _taps(*rows, fs)
 
-    def _rows(self, nco: Nco) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Room for every integration that can end: index, phases, iq, and their count."""
-        chips = (nco.t_s[1:] - nco.t_s[:-1]) @ nco.chip_rate_hz[:, nco.valid]
-        most = (chips / nco.dump_chips[nco.valid]).max(initial=0.0)
-        n = int(most) + 3 * (nco.t_s.size - 1)
+    def _rows(self, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Room for n integrations per channel: index, phases, iq, and their count."""
         n_channel, n_tap = len(self._table), self.offset_chips.size
-        return (
-            np.empty((n_channel, n), np.int64),
-            np.empty((n_channel, n, 6)),
-            np.empty((n_channel, n, n_tap), np.complex128),
-            np.zeros(n_channel, np.int64),
-        )
+        whole, count = np.empty((n_channel, n), np.int64), np.zeros(n_channel, np.int64)
+        iq = np.empty((n_channel, n, n_tap), np.complex128)
+        return whole, np.empty((n_channel, n, 6)), iq, count
 
     def _run(self, a: int, b: int, p: int, nco: Nco, rows: Any) -> None:
         """Correlate samples a ... b - 1 of piece p, all channels."""
@@ -123,7 +120,7 @@ class SampleCorrelator:
         for part in parts:
             part.result()
 
-    def _check(self, nco: Nco, fs: float) -> None:
+    def _check(self, nco: Nco) -> None:
         n_channel = len(self._table)
         shape = (nco.t_s.size - 1, n_channel)
         if nco.dump_chips.shape != (n_channel,) or nco.valid.shape != (n_channel,):
@@ -133,19 +130,18 @@ class SampleCorrelator:
         for name in Nco._fields[1:6]:
             if getattr(nco, name).shape != shape:
                 raise ValueError(f"nco.{name} is {getattr(nco, name).shape}: expected {shape}")
-        lines = np.stack(nco[1:6])[:, :, nco.valid]
-        finite = np.isfinite(lines).all(axis=(1, 2))
-        if not finite.all():
-            name = Nco._fields[1 + int(np.argmin(finite))]
-            raise ValueError(f"nco.{name} of a valid channel is not finite")
-        low, high = lines[1].min(initial=fs), lines[1].max(initial=0.0)
-        if not 0.0 < low <= high <= fs and nco.valid.any():
-            raise ValueError(
-                f"nco.chip_rate_hz is {low} to {high}: expected > 0 and at most the sampling "
-                f"rate, {fs} Hz"
-            )
-        if nco.dump_chips[nco.valid].min(initial=1) < 1:
-            raise ValueError(f"nco.dump_chips is {nco.dump_chips}: expected at least one chip")
+
+
+def _what_is_wrong(nco: Nco, fs: float) -> str:
+    """Say which number of a valid channel cannot be run."""
+    for name in Nco._fields[1:6]:
+        if not np.isfinite(getattr(nco, name)[:, nco.valid]).all():
+            return f"nco.{name} of a valid channel is not finite"
+    if np.any(nco.dump_chips[nco.valid] < 1):
+        return f"nco.dump_chips is {nco.dump_chips}: expected at least one chip"
+    rate = nco.chip_rate_hz[:, nco.valid]
+    limits = f"> 0 and at most the sampling rate, {fs} Hz"
+    return f"nco.chip_rate_hz is {rate.min()} to {rate.max()}: expected {limits}"
 
 
 # ---- kernels ---------------------------------------------------------------------------------
@@ -155,6 +151,26 @@ _32 = np.uint64(32)
 _PAD = 144  # keeps the rows of a buffer off a common address modulo 4096
 # columns of a channel's position: is the index known, is a sum open, index, first sample, length
 _KNOWN, _OPEN, _INDEX, _FIRST, _DUMP = 0, 1, 2, 3, 4
+
+
+@kernel
+def _room(nco: Nco, fs: float) -> int:
+    """Integrations that can end in a channel; -1: a number of a valid channel cannot be run."""
+    most = 0
+    for channel in range(nco.valid.size):
+        if nco.valid[channel]:
+            chips = 0.0
+            for p in range(nco.t_s.size - 1):
+                rate = nco.chip_rate_hz[p, channel]
+                sum_ = nco.code_phase_chips[p, channel] + nco.carrier_phase_cycles[p, channel]
+                sum_ += nco.carrier_freq_hz[p, channel] + nco.carrier_rate_hz_per_s[p, channel]
+                if not (math.isfinite(sum_) and 0.0 < rate <= fs):
+                    return -1
+                chips += rate * (nco.t_s[p + 1] - nco.t_s[p])
+            if nco.dump_chips[channel] < 1:
+                return -1
+            most = max(most, int(chips / nco.dump_chips[channel]) + 3 * (nco.t_s.size - 1))
+    return most
 
 
 @kernel
