@@ -192,10 +192,14 @@ def _phase_rows(
 
 
 @kernel
-def _split_noise(params: np.ndarray) -> float:
-    """Half of the variance of L - E per component and half bit: 1 - R(2 spacing); 1/2 at 0.25."""
-    lag1, spacing = params[0], params[3]
-    return 1.0 - _correlation(2.0 * spacing, lag1)
+def _split(
+    first: np.ndarray, second: np.ndarray, params: np.ndarray, a2: float
+) -> tuple[float, float]:
+    """S of two halves and its variance; L - E has 2 (1 - R(2 spacing)) per component and half."""
+    s1 = ((first[LATE] - first[EARLY]) * np.conj(first[PROMPT])).real
+    s2 = ((second[LATE] - second[EARLY]) * np.conj(second[PROMPT])).real
+    half = 1.0 - _correlation(2.0 * params[3], params[0])
+    return 0.5 * (s1 + s2) / a2, half * (1.0 / a2 + 2.0 / a2**2)
 
 
 @kernel
@@ -212,16 +216,13 @@ def _z_differential(
         a2 = amplitude2[channel[b]]
         first, second = iq[b, 0], iq[b, 1]
         d = first[PROMPT] * np.conj(second[PROMPT]) / a2
-        s1 = ((first[LATE] - first[EARLY]) * np.conj(first[PROMPT])).real
-        s2 = ((second[LATE] - second[EARLY]) * np.conj(second[PROMPT])).real
         z[b, 0] = d.real
         z[b, 1] = d.imag
-        z[b, 2] = 0.5 * (s1 + s2) / a2
+        z[b, 2], R[b, 2, 2] = _split(first, second, params[b], a2)
         r = 2.0 / a2 + 2.0 / a2**2
         R[b, 0, 0] = r
         # white frequency noise of the oscillator turns one half against the other
         R[b, 1, 1] = r + (2.0 * np.pi / WAVELENGTH_M) ** 2 * clock_sf * (2.0 / 3.0) * params[b, 2]
-        R[b, 2, 2] = _split_noise(params[b]) * (1.0 / a2 + 2.0 / a2**2)
 
 
 @kernel
@@ -238,14 +239,11 @@ def _z_coherent(
         a2 = amplitude2[channel[b]]
         first, second = iq[b, 0], iq[b, 1]
         p = data[b] * (first[PROMPT] + second[PROMPT]) / (2.0 * np.sqrt(a2))
-        s1 = ((first[LATE] - first[EARLY]) * np.conj(first[PROMPT])).real
-        s2 = ((second[LATE] - second[EARLY]) * np.conj(second[PROMPT])).real
         z[b, 0] = p.real
         z[b, 1] = -p.imag
-        z[b, 2] = 0.5 * (s1 + s2) / a2
+        z[b, 2], R[b, 2, 2] = _split(first, second, params[b], a2)
         R[b, 0, 0] = 0.5 / a2
         R[b, 1, 1] = 0.5 / a2
-        R[b, 2, 2] = _split_noise(params[b]) * (1.0 / a2 + 2.0 / a2**2)
 
 
 @kernel
