@@ -1,14 +1,16 @@
 """The one way kernels are compiled: `kernel`, a numba ``njit`` with a cache that can be trusted.
 
 numba's disk cache notices a change in the file of a function, not in a function that it imports
-from another module.  The cache folder is therefore keyed by a hash of *all* sources of the
-package that owns the kernel (and of `signals`), so that edited code never meets an old binary.
+from another module.  The cache folder of a module's kernels is therefore keyed by a hash of its
+source and of *all* sources that it imports, directly or not, from its own package and from
+`signals`: edited code never meets an old binary, and an edit elsewhere compiles nothing anew.
 """
 
 from __future__ import annotations
 
 import hashlib
 import os
+import re
 import shutil
 import sys
 import tempfile
@@ -22,6 +24,11 @@ import numba
 
 KEEP_S = 30 * 86_400
 """Age at which the cache of other sources goes"""
+
+_IMPORT = re.compile(
+    r"^[ \t]*(?:from[ \t]+(\S+)[ \t]+import[ \t]+(\([^)]*\)|[^\n#]*)|import[ \t]+([^\n#]*))", re.M
+)
+_NAME = re.compile(r"[A-Za-z_]\w*")
 
 FAST_SUM = {"reassoc", "contract", "arcp", "nsz"}
 """The only fast-math flags in use: sums may be reordered; NaN and inf keep their meaning."""
@@ -41,15 +48,15 @@ def _cache_root() -> Path:
 
 
 @cache
-def _cache_dir(package: str) -> str | None:
-    """Folder for the kernels of a top-level package; None where nothing can be written."""
+def _cache_dir(module: str) -> str | None:
+    """Folder for the kernels of a module; None where nothing can be written."""
     digest = hashlib.sha256(f"{numba.__version__} {sys.version}".encode())
-    roots = {Path(__file__).parent}
-    roots.update(Path(p) for p in getattr(sys.modules.get(package), "__path__", []))
-    for root in sorted(roots):
-        for source in sorted(root.rglob("*.py")):
-            digest.update(source.relative_to(root).as_posix().encode())
-            digest.update(source.read_bytes())
+    sources = _sources(module)
+    if not sources:
+        return None  # typed into a console: no file to tell versions apart by
+    for name, text in sources:
+        digest.update(name.encode())
+        digest.update(text.encode())
     folder = _cache_root() / digest.hexdigest()[:16]
     try:
         if not folder.exists():
@@ -59,6 +66,43 @@ def _cache_dir(package: str) -> str | None:
             return str(folder)
     except OSError:
         return None
+
+
+def _sources(module: str) -> list[tuple[str, str]]:
+    """Names and texts of a module and of all that it imports from its package and `signals`."""
+    packages = {module.partition(".")[0], __name__.partition(".")[0]}
+    found: dict[str, str] = {}
+    waiting = {module, __name__}
+    while waiting:
+        name = waiting.pop()
+        if name not in found and name.partition(".")[0] in packages:
+            found[name], imported = _read(name)
+            waiting |= imported
+    return sorted((name, text) for name, text in found.items() if text)
+
+
+@cache
+def _read(module: str) -> tuple[str, set[str]]:
+    """Source of a module and the names that its import statements may mean; empty: no source."""
+    home, _, _ = module.rpartition(".")
+    path = getattr(sys.modules.get(module), "__file__", None)
+    if path is None:  # not yet imported, or no module: `from home import name`
+        folders = getattr(sys.modules.get(home), "__path__", [])
+        files = [Path(f) / f"{module.rpartition('.')[2]}.py" for f in folders]
+        path = next((f for f in files if f.is_file()), None)
+    if path is None or not str(path).endswith(".py"):
+        return "", set()
+    text = Path(path).read_text(encoding="utf-8")
+    imported: set[str] = set()
+    for base, names, plain in _IMPORT.findall(text):
+        imported.update(n.split()[0] for n in plain.split(",") if n.strip())
+        if base.startswith("."):
+            dots = len(base) - len(base.lstrip("."))
+            base = f"{module.rsplit('.', dots)[0]}.{base[dots:]}".rstrip(".")
+        if base:
+            imported.add(base)
+            imported.update(f"{base}.{n}" for n in _NAME.findall(names))
+    return text, imported
 
 
 def _prune(root: Path) -> None:
@@ -78,7 +122,7 @@ def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     """
     if function is None:
         return lambda f: kernel(f, **options)
-    folder = _cache_dir(function.__module__.partition(".")[0])
+    folder = _cache_dir(function.__module__)
     options = {"cache": folder is not None, "nogil": True, "error_model": "numpy"} | options
     # numba reads its global setting when a function is decorated: set it for that moment only, so
     # that a user's own kernels keep their own cache.
