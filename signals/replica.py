@@ -1,4 +1,4 @@
-"""A replica inside a cell of samples: fixed-point phases that are exact to 1e-7 cycles or chips.
+"""A replica inside a cell of samples: its tables, and phases exact to 1e-7 cycles or chips.
 
 Generator and correlator both re-base their phases in float64 at the start of each cell and run
 on integers inside it: every sample's phase is one multiplication away, in any vector lane.
@@ -7,7 +7,8 @@ on integers inside it: every sample's phase is one multiplication away, in any v
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,6 +17,56 @@ from signals.elementary import TURN, cos_sin, wrap
 
 STRIDE = 64
 """Samples that share a coarse carrier phasor: two short tables replace a sine per sample"""
+
+LONGEST_CELL = 2048
+"""Most samples that may be looked up from one start, at no more than one chip per sample"""
+
+_WINDOW = 64  # entries that a vector may load beyond the last one it uses
+
+
+class Replicas(NamedTuple):
+    """Spreading waveforms of all channels, constant over a sub-chip; made by `replicas`.
+
+    Entry k mod length of channel i stands at ``table[first[i] + k]`` for every
+    0 <= k < length + per_chip (LONGEST_CELL + 1): a cell that starts inside the period never
+    wraps.
+    """
+
+    table: np.ndarray  # (n_total,) float32
+    first: np.ndarray  # (n_channel,) int64: its first entry
+    length: np.ndarray  # (n_channel,) int64: period in sub-chips
+    per_chip: np.ndarray  # (n_channel,) int64: sub-chips per chip; BPSK 1, BOC(1,1) 2, BOC(6,1) 12
+
+
+def replicas(rows: Sequence[np.ndarray], per_chip: Sequence[int] | int = 1) -> Replicas:
+    """Tables of one period per channel; ``rows[i]`` is (length_i,), any real numbers.
+
+    ``per_chip`` is the number of entries per chip, of all channels or of each.
+
+    Raises
+    ------
+    ValueError : a row that is not one finite period of whole chips.
+    """
+    each = [per_chip] * len(rows) if isinstance(per_chip, int) else [int(n) for n in per_chip]
+    if len(each) != len(rows):
+        raise ValueError(f"per_chip has {len(each)} numbers: expected one for each of {len(rows)}")
+    parts = []
+    for i, (row, n) in enumerate(zip(rows, each, strict=True)):
+        if n < 1:
+            raise ValueError(f"per_chip is {n}: expected >= 1")
+        if np.ndim(row) != 1 or not np.size(row) or np.size(row) % n or not np.isfinite(row).all():
+            raise ValueError(
+                f"row {i} is {np.shape(row)}: expected a finite (length,), a multiple of {n}"
+            )
+        period = np.asarray(row, np.float32)
+        parts.append(np.resize(period, period.size + n * (LONGEST_CELL + 1) + _WINDOW))
+    sizes = np.array([part.size for part in parts], np.int64)
+    return Replicas(
+        np.concatenate([*parts, np.empty(0, np.float32)]),
+        np.cumsum(sizes) - sizes,
+        np.array([np.size(row) for row in rows], np.int64),
+        np.array(each, np.int64),
+    )
 
 
 def replica_table(chips: np.ndarray) -> np.ndarray:
