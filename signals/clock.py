@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import fftconvolve
 
 from signals.constants import C_MPS, STANDARD_GRAVITY
 
@@ -171,6 +170,8 @@ def _flicker(h_minus1: float, white: np.ndarray) -> np.ndarray:
     """Fractional frequency with S_y = h_minus1 / f per interval (Kasdin & Walter 1992, alpha 1)."""
     if h_minus1 == 0.0:
         return np.zeros(len(white))
+    from scipy.signal import fftconvolve  # slow to import, and seldom needed
+
     # impulse response of (1 - z^-1)^(-1/2): h_k = h_(k-1) (k - 1/2) / k; with variance q the
     # spectrum is q / (2 pi f) two-sided, q / (pi f) one-sided
     k = np.arange(1, len(white))

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
 
 from ultratight.ins.attitude import vector_from_rotation
 from ultratight.results import Run
@@ -96,7 +95,11 @@ def nis_per_measurement(run: Run, mask: np.ndarray) -> float | None:
 def chi2_interval(n: int, level: float = 0.95) -> tuple[float, float]:
     """Two-sided interval of chi-square with n degrees of freedom, divided by n."""
     tail = 0.5 * (1.0 - level)
-    return float(chi2.ppf(tail, n) / n), float(chi2.ppf(1.0 - tail, n) / n)
+    from scipy.special import gammaincinv  # slow to import; scipy.stats, a second
+
+    # quantiles of chi-square
+    low, high = (2.0 * gammaincinv(0.5 * n, p) / n for p in (tail, 1.0 - tail))
+    return float(low), float(high)
 
 
 def windows(t_s: np.ndarray, jump_s: tuple[float, float] | None) -> dict[str, np.ndarray]:

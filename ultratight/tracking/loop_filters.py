@@ -34,7 +34,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy.linalg import solve_discrete_lyapunov
 
 from signals.compiled import kernel
 
@@ -138,6 +137,8 @@ def noise_bandwidth(transition: np.ndarray, drive: np.ndarray, output: np.ndarra
     """
     if np.abs(np.linalg.eigvals(transition)).max() >= 1.0 - 1e-9:
         return np.inf
+    from scipy.linalg import solve_discrete_lyapunov  # slow to import, and seldom needed
+
     covariance = solve_discrete_lyapunov(transition, np.outer(drive, drive))
     return 0.5 * float(output @ covariance @ output)
 
