@@ -18,10 +18,11 @@ TURN = 4294967296.0
 
 _F = np.float32
 _HALF, _ONE = _F(0.5), _F(1.0)
-_RAD = _F(2.0 * np.pi / TURN)
+RAD = _F(2.0 * np.pi / TURN)
 _QUARTER = 0x40000000
 # (sin x / x - 1) / x^2 as a polynomial of x^2, |x| <= pi / 2
-_S0, _S1, _S2, _S3 = _F(-0.16666666), _F(0.0083332425), _F(-0.00019822740), _F(2.6347564e-06)
+SINE = _F(-0.16666666), _F(0.0083332425), _F(-0.00019822740), _F(2.6347564e-06)
+_S0, _S1, _S2, _S3 = SINE
 # (log(1 + t) - t + t^2 / 2) / t^3, sqrt(1/2) - 1 <= t <= sqrt(2) - 1
 _L0, _L1, _L2, _L3 = _F(0.33333415), _F(-0.25000703), _F(0.19984223), _F(-0.16602719)
 _L4, _L5, _L6 = _F(0.147039), _F(-0.14030892), _F(0.090487845)
@@ -41,7 +42,7 @@ def wrap(phase: Any) -> Any:
 @kernel(inline="always")
 def _sin(quarter: Any) -> Any:
     """Sine of an int32 phase within a quarter cycle."""
-    x = _F(quarter) * _RAD
+    x = _F(quarter) * RAD
     z = x * x
     return x + x * z * (_S0 + z * (_S1 + z * (_S2 + z * _S3)))
 
