@@ -187,23 +187,6 @@ def test_record_into_memory_and_file(tmp_path: Path):
     np.testing.assert_array_equal(again.samples(100, 103), expected[:3])
 
 
-def test_files_that_cannot_be_samples(tmp_path: Path):
-    missing, empty, odd = (tmp_path / name for name in ("missing.bin", "empty.bin", "odd.bin"))
-    empty.write_bytes(b"")
-    odd.write_bytes(b"12345")
-    for path, what in ((missing, "missing"), (empty, "empty"), (odd, r"truncated \(5 bytes\)")):
-        with pytest.raises(ValueError, match=f"{path.name} is {what}: expected interleaved I, Q"):
-            Recording(path, FS, 0.0, 24.0)
-    odd.write_bytes(b"123456")
-    assert Recording(odd, FS, 0.0, 24.0).end_sample == 3
-    with pytest.raises(ValueError, match=r"truncated.*8 bytes per sample"):
-        Recording(odd, FS, 0.0, 1.0, sample_format="float32")
-    with pytest.raises(ValueError, match="complex128"):
-        Recording(np.zeros((4, 2), complex), FS, 0.0, 1.0)
-    with pytest.raises(ValueError, match="sigma"):
-        Recording(np.zeros((4, 2), np.int8), FS, 0.0, 0.0)
-
-
 @pytest.mark.parametrize(("n0", "n1"), [(-1, 5), (79_990, 80_001), (10, 9)])
 def test_samples_outside_the_truth_are_refused(n0, n1):
     source = SyntheticIf(truth([0.0]), chips(1), FS, 1)
