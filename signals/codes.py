@@ -2,128 +2,257 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cache
+from functools import partial
+from pathlib import Path
 
-import numpy as np
-
-from signals.constants import CA_CHIP_RATE_HZ, GPS_L1_HZ
-
-
-@dataclass(frozen=True)
-class Signal:
-    """One ranging signal.
-
-    Attributes
-    ----------
-    name
-        System and signal, e.g. "GPS L1 C/A".
-    carrier_hz, chip_rate_hz
-        Nominal frequencies.
-    length_chips
-        Period of the code.
-    symbol_s
-        Length of a data symbol.
-    modulation
-        Of the chips, e.g. "BPSK(1)".
-    prns
-        Range of PRN numbers that have a code.
-    generate
-        prn -> (length_chips,) of logical 0 and 1.
-    """
-
-    name: str
-    carrier_hz: float
-    chip_rate_hz: float
-    length_chips: int
-    symbol_s: float
-    modulation: str
-    prns: range
-    generate: Callable[[int], np.ndarray]
-
-    def chips(self, prn: int) -> np.ndarray:
-        """One period of the code as +-1, logical 0 is +1: (length_chips,) int8, read-only.
-
-        Raises
-        ------
-        ValueError
-            The PRN has no code.
-        """
-        if prn not in self.prns:
-            first, last = self.prns[0], self.prns[-1]
-            raise ValueError(f"prn {prn}: {self.name} has codes for PRN {first}-{last}")
-        return _chips(self, int(prn))
-
-    def autocorrelation(self, prn: int) -> np.ndarray:
-        """Periodic autocorrelation at delays of whole chips, 1 at 0: (length_chips,), read-only.
-
-        Raises
-        ------
-        ValueError
-            The PRN has no code.
-        """
-        self.chips(prn)
-        return _autocorrelation(self, int(prn))
-
-
-@cache
-def _chips(signal: Signal, prn: int) -> np.ndarray:
-    chips = (1 - 2 * signal.generate(prn)).astype(np.int8)
-    chips.flags.writeable = False
-    return chips
-
-
-@cache
-def _autocorrelation(signal: Signal, prn: int) -> np.ndarray:
-    spectrum = np.fft.rfft(signal.chips(prn).astype(np.float64))
-    sums = np.fft.irfft(np.abs(spectrum) ** 2, signal.length_chips)
-    values = np.rint(sums) / signal.length_chips  # the sums are whole numbers
-    values.flags.writeable = False
-    return values
-
-
-# Delay of G2 in chips, PRN 1-210: IS-GPS-200 tables 3-Ia, 3-Ib and 6-I
-# fmt: off
-_G2_DELAY = (
-    5, 6, 7, 8, 17, 18, 139, 140, 141, 251, 252, 254, 255, 256, 257, 258, 469, 470, 471, 472,
-    473, 474, 509, 512, 513, 514, 515, 516, 859, 860, 861, 862, 863, 950, 947, 948, 950, 67,
-    103, 91, 19, 679, 225, 625, 946, 638, 161, 1001, 554, 280, 710, 709, 775, 864, 558, 220,
-    397, 55, 898, 759, 367, 299, 1018, 729, 695, 780, 801, 788, 732, 34, 320, 327, 389, 407,
-    525, 405, 221, 761, 260, 326, 955, 653, 699, 422, 188, 438, 959, 539, 879, 677, 586, 153,
-    792, 814, 446, 264, 1015, 278, 536, 819, 156, 957, 159, 712, 885, 461, 248, 713, 126, 807,
-    279, 122, 197, 693, 632, 771, 467, 647, 203, 145, 175, 52, 21, 237, 235, 886, 657, 634, 762,
-    355, 1012, 176, 603, 130, 359, 595, 68, 386, 797, 456, 499, 883, 307, 127, 211, 121, 118,
-    163, 628, 853, 484, 289, 811, 202, 1021, 463, 568, 904, 670, 230, 911, 684, 309, 644, 932,
-    12, 314, 891, 212, 185, 675, 503, 150, 395, 345, 846, 798, 992, 357, 995, 877, 112, 144,
-    476, 193, 109, 445, 291, 87, 399, 292, 901, 339, 208, 711, 189, 263, 537, 663, 942, 173,
-    900, 30, 500, 935, 556, 373, 85, 652, 310,
+from signals import icd_beidou, icd_galileo, icd_gps, modulation
+from signals.constants import (
+    BEIDOU_B1I_HZ,
+    CA_CHIP_RATE_HZ,
+    GPS_L1_HZ,
+    GPS_L2_HZ,
+    GPS_L5_HZ,
 )
-# fmt: on
+from signals.generators import (
+    L2C_PRNS,
+    beidou_b1i,
+    beidou_weil,
+    galileo_cs100,
+    galileo_e5a,
+    gps_ca,
+    gps_l1c,
+    gps_l1c_overlay,
+    gps_l2c,
+    gps_l5,
+    shared_code,
+)
+from signals.memory_codes import read_memory_codes
+from signals.modulation import bpsk
+from signals.signal_row import Signal
+
+# -- GPS -----------------------------------------------------------------------------------------
 
 
-def _register(taps: tuple[int, ...]) -> np.ndarray:
-    """Output of a 10-stage register that starts at all ones: (1023,) of 0 and 1."""
-    stages = [1] * 10
-    out = np.empty(1023, dtype=np.int64)
-    for k in range(1023):
-        out[k] = stages[9]
-        stages = [sum(stages[tap - 1] for tap in taps) % 2, *stages[:9]]
-    return out
-
-
-def _gps_ca(prn: int) -> np.ndarray:
-    """G1 = 1 + X^3 + X^10; G2 = 1 + X^2 + X^3 + X^6 + X^8 + X^9 + X^10 (IS-GPS-200 3.3.2.3)."""
-    return _register((3, 10)) ^ np.roll(_register((2, 3, 6, 8, 9, 10)), _G2_DELAY[prn - 1])
-
+_NH10 = shared_code("0000110101")
+_NH20 = shared_code("00000100110101001110")
+_HALF_RATE_HZ = CA_CHIP_RATE_HZ / 2.0
 
 GPS_L1CA = Signal(
+    label="L1CA",
+    system="G",
     name="GPS L1 C/A",
     carrier_hz=GPS_L1_HZ,  # IS-GPS-200 3.3.1.1
     chip_rate_hz=CA_CHIP_RATE_HZ,  # 3.2.1.3
     length_chips=1023,
     symbol_s=0.02,  # 50 bit/s, 3.3.2.2
-    modulation="BPSK(1)",
+    modulation=bpsk(1),
     prns=range(1, 211),
-    generate=_gps_ca,
+    generate=gps_ca,
 )
+# IS-GPS-200 3.2.1.4, 3.2.1.5, 3.2.2: chips of both codes take turns at 1.023 Mcps; CNAV 50 symb/s
+_L2C = partial(Signal, system="G", carrier_hz=GPS_L2_HZ, chip_rate_hz=_HALF_RATE_HZ, prns=L2C_PRNS)
+GPS_L2CM = _L2C(
+    label="L2CM",
+    name="GPS L2 CM",
+    length_chips=10_230,
+    symbol_s=0.02,
+    modulation=modulation.FIRST_HALF,
+    generate=partial(gps_l2c, icd_gps.L2CM_INITIAL, 10_230),
+)
+GPS_L2CL = _L2C(
+    label="L2CL",
+    name="GPS L2 CL",
+    length_chips=767_250,
+    symbol_s=1.5,
+    modulation=modulation.SECOND_HALF,
+    generate=partial(gps_l2c, icd_gps.L2CL_INITIAL, 767_250),
+    pilot=True,
+)
+# IS-GPS-705 3.2.1.1, 3.3.2, 3.3.3: 100 symb/s with NH10 on I5; NH20 on Q5
+_L5 = partial(
+    Signal,
+    system="G",
+    carrier_hz=GPS_L5_HZ,
+    chip_rate_hz=10.0 * CA_CHIP_RATE_HZ,
+    length_chips=10_230,
+    modulation=bpsk(10),
+    prns=range(1, 211),
+)
+GPS_L5I = _L5(
+    label="L5I",
+    name="GPS L5 I5",
+    symbol_s=0.01,
+    generate=partial(gps_l5, icd_gps.L5I_XB_ADVANCE),
+    secondary=_NH10,
+)
+GPS_L5Q = _L5(
+    label="L5Q",
+    name="GPS L5 Q5",
+    symbol_s=0.02,
+    generate=partial(gps_l5, icd_gps.L5Q_XB_ADVANCE),
+    secondary=_NH20,
+    pilot=True,
+)
+# IS-GPS-800 3.2.1.6, 3.2.2.1, 3.3: 100 symb/s data, 1800 overlay chips of 10 ms on the pilot
+_L1C = partial(
+    Signal,
+    system="G",
+    carrier_hz=GPS_L1_HZ,
+    chip_rate_hz=CA_CHIP_RATE_HZ,
+    length_chips=10_230,
+    symbol_s=0.01,
+    prns=range(1, 64),
+)
+GPS_L1CD = _L1C(
+    label="L1CD",
+    name="GPS L1C data",
+    modulation=modulation.BOC11,
+    generate=partial(gps_l1c, icd_gps.L1CD_WEIL),
+)
+GPS_L1CP = _L1C(
+    label="L1CP",
+    name="GPS L1C pilot",
+    modulation=modulation.TMBOC,
+    generate=partial(gps_l1c, icd_gps.L1CP_WEIL),
+    secondary=gps_l1c_overlay,
+    pilot=True,
+)
+
+
+# -- Galileo -------------------------------------------------------------------------------------
+
+
+# Galileo OS SIS ICD 2.1, 2.3.1, 3.4.1, 3.5: F/NAV 50 symb/s with CS20 on E5a-I, CS100 on E5a-Q
+_E5A = partial(
+    Signal,
+    system="E",
+    carrier_hz=GPS_L5_HZ,
+    chip_rate_hz=10.0 * CA_CHIP_RATE_HZ,
+    length_chips=10_230,
+    modulation=bpsk(10),
+    prns=range(1, 51),
+)
+GALILEO_E5AI = _E5A(
+    label="E5AI",
+    name="Galileo E5a-I",
+    symbol_s=0.02,
+    generate=partial(galileo_e5a, (4, 5, 7, 8, 12, 14), icd_galileo.E5AI_START),
+    secondary=shared_code("10000100001011101001"),
+)
+GALILEO_E5AQ = _E5A(
+    label="E5AQ",
+    name="Galileo E5a-Q",
+    symbol_s=0.1,
+    generate=partial(galileo_e5a, (4, 5, 7, 8, 12, 14), icd_galileo.E5AQ_START),
+    secondary=galileo_cs100,
+    pilot=True,
+)
+
+
+def galileo_e1(path: str | Path) -> tuple[Signal, Signal]:
+    """E1-B and E1-C with the memory codes of a file (`memory_codes.read_memory_codes`).
+
+    Galileo OS SIS ICD 2.1, 2.3.3, 3.4.2, 3.5: I/NAV at 250 symb/s on E1-B, CS25 on E1-C.
+
+    Raises
+    ------
+    ValueError
+        The file is missing, or something in it is not as expected.
+    """
+    codes = read_memory_codes(Path(path))
+    common = partial(
+        Signal,
+        system="E",
+        carrier_hz=GPS_L1_HZ,
+        chip_rate_hz=CA_CHIP_RATE_HZ,
+        length_chips=4092,
+    )
+    e1b = common(
+        label="E1B",
+        name="Galileo E1-B",
+        symbol_s=0.004,
+        modulation=modulation.CBOC_PLUS,
+        prns=tuple(codes["E1B"]),
+        generate=codes["E1B"].__getitem__,
+    )
+    e1c = common(
+        label="E1C",
+        name="Galileo E1-C",
+        symbol_s=0.1,
+        modulation=modulation.CBOC_MINUS,
+        prns=tuple(codes["E1C"]),
+        generate=codes["E1C"].__getitem__,
+        secondary=shared_code("0011100000001010110110010"),
+        pilot=True,
+    )
+    return e1b, e1c
+
+
+# -- BeiDou --------------------------------------------------------------------------------------
+
+
+_B1I = partial(
+    Signal,
+    system="C",
+    carrier_hz=BEIDOU_B1I_HZ,
+    chip_rate_hz=2.0 * CA_CHIP_RATE_HZ,
+    length_chips=2046,
+    modulation=bpsk(2),
+    generate=beidou_b1i,
+)
+# BDS-SIS-ICD-B1I 4.2, 5.1: D1 with NH20 at 50 bit/s, D2 of geostationary satellites at 500 bit/s
+BEIDOU_B1I = _B1I(label="B1I", name="BeiDou B1I", symbol_s=0.02, prns=range(6, 59), secondary=_NH20)
+BEIDOU_B1I_GEO = _B1I(
+    label="B1IG", name="BeiDou B1I (D2)", symbol_s=0.002, prns=(*range(1, 6), *range(59, 64))
+)
+# BDS-SIS-ICD-B1C 4.2, 5.2: 100 symb/s data, 1800 secondary chips of 10 ms on the pilot
+_B1C = partial(
+    Signal,
+    system="C",
+    carrier_hz=GPS_L1_HZ,
+    chip_rate_hz=CA_CHIP_RATE_HZ,
+    length_chips=10_230,
+    symbol_s=0.01,
+    prns=range(1, 64),
+)
+BEIDOU_B1CD = _B1C(
+    label="B1CD",
+    name="BeiDou B1C data",
+    modulation=modulation.BOC11,
+    generate=partial(beidou_weil, 10_243, 10_230, icd_beidou.B1CD_WEIL),
+)
+BEIDOU_B1CP = _B1C(
+    label="B1CP",
+    name="BeiDou B1C pilot",
+    modulation=modulation.QMBOC,
+    generate=partial(beidou_weil, 10_243, 10_230, icd_beidou.B1CP_WEIL),
+    secondary=partial(beidou_weil, 3607, 1800, icd_beidou.B1CP_SECONDARY),
+    pilot=True,
+)
+
+SIGNALS = {
+    row.label: row
+    for row in (
+        GPS_L1CA, GPS_L1CD, GPS_L1CP, GPS_L2CM, GPS_L2CL, GPS_L5I, GPS_L5Q,
+        GALILEO_E5AI, GALILEO_E5AQ, BEIDOU_B1I, BEIDOU_B1I_GEO, BEIDOU_B1CD, BEIDOU_B1CP,
+    )
+}  # fmt: skip
+"""Signals whose codes can be generated, by label; for E1B and E1C see `galileo_e1`"""
+
+
+def signal(label: str, memory_codes: str | Path | None = None) -> Signal:
+    """The row of a label; E1B and E1C need the file of their memory codes.
+
+    Raises
+    ------
+    ValueError
+        There is no such signal, or its file is missing, not given, or not as expected.
+    """
+    if label in SIGNALS:
+        return SIGNALS[label]
+    if label not in ("E1B", "E1C"):
+        known = ", ".join([*SIGNALS, "E1B", "E1C"])
+        raise ValueError(f"signal {label!r}: expected one of {known}")
+    if memory_codes is None:
+        raise ValueError(f"signal {label}: memory codes not given, expected the file that has them")
+    return galileo_e1(memory_codes)[label == "E1C"]

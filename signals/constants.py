@@ -24,6 +24,12 @@ STANDARD_GRAVITY = 9.80665
 """One g, the unit of sensor data sheets [m/s2]"""
 GPS_L1_HZ = 1_575_420_000.0
 """L1 carrier (IS-GPS-200 3.3.1.1)"""
+GPS_L2_HZ = 1_227_600_000.0
+"""L2 carrier (IS-GPS-200 3.3.1.1)"""
+GPS_L5_HZ = 1_176_450_000.0
+"""L5 carrier (IS-GPS-705 3.3.1.1), and that of Galileo E5a (Galileo OS SIS ICD 2.1)"""
+BEIDOU_B1I_HZ = 1_561_098_000.0
+"""B1I carrier (BDS-SIS-ICD-B1I 4.2.1)"""
 CA_CHIP_RATE_HZ = 1_023_000.0
 """C/A code (IS-GPS-200 3.3.2.3)"""
 WEEK_S = 604_800.0
