@@ -6,6 +6,16 @@ package ``cssrlib`` 1.2.1.  Numbers as decoded from the navigation message (IS-G
 
 SOURCE = "GPS broadcast, 2021-03-19 (week 2149), RINEX file SEPT078M.21P"
 
+# GPSA, GPSB and LEAP SECONDS of the file's header; it has no GPUT: zeros, of this week
+ALPHA = (1.118e-8, 7.451e-9, -5.960e-8, -5.960e-8)
+BETA = (9.011e4, 0.0, -1.966e5, -6.554e4)
+LEAP = {"week_t": 2149, "leap_s": 18, "leap_future_s": 18, "week_lsf": 2031, "day": 7}
+
+# The two higher bits of IODC, where they are not zero: prn -> IODC - IODE
+IODC_ABOVE_IODE = {14: 512}
+# (prn, toe) of the sets with a user range accuracy of 2.8 m; all others have 2.0 m
+URA_1 = {(28, 475200.0)}
+
 # one tuple per set: prn, week, health, iode, time of transmission [s of week], then the columns
 # TOE ... TGD in the order and units of `signals.satellites`
 # fmt: off

@@ -6,6 +6,7 @@ Formats: W. Gurtner, RINEX 2.11, table A4; IGS/RTCM, RINEX 3.05, table A5 (secti
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Iterator
 from datetime import datetime
 from pathlib import Path
@@ -15,7 +16,7 @@ import numpy as np
 
 from signals import satellites
 from signals.constants import WEEK_S
-from signals.satellites import Constellation
+from signals.satellites import Constellation, IonoUtc
 
 _GPS_EPOCH = datetime(1980, 1, 6)
 _N_LINE = 8  # of a GPS record, in both versions
@@ -44,6 +45,20 @@ _PLACES = {
     satellites.TGD: (6, 2),
 }
 _IODE, _WEEK, _HEALTH, _SENT = (1, 0), (5, 2), (6, 1), (7, 0)
+_CODE_ON_L2, _L2P, _ACCURACY, _IODC, _FIT = (5, 1), (5, 3), (6, 0), (6, 3), (7, 1)
+# upper ends of user range accuracy indices 0 to 14 [m] (IS-GPS-200 20.3.3.3.1.3)
+_URA_M = (2.4, 3.4, 4.85, 6.85, 9.65, 13.65, 24.0, 48.0, 96.0, 192.0, 384.0, 768.0, 1536.0, 3072.0,
+          6144.0)  # fmt: skip
+# Header records that become an `IonoUtc`: (label, start of the line) -> columns of its numbers
+_IONO_UTC = {
+    ("ION ALPHA", ""): [(2 + 12 * k, 12) for k in range(4)],
+    ("ION BETA", ""): [(2 + 12 * k, 12) for k in range(4)],
+    ("DELTA-UTC: A0,A1,T,W", ""): [(3, 19), (22, 19), (41, 9), (50, 9)],
+    ("IONOSPHERIC CORR", "GPSA"): [(5 + 12 * k, 12) for k in range(4)],
+    ("IONOSPHERIC CORR", "GPSB"): [(5 + 12 * k, 12) for k in range(4)],
+    ("TIME SYSTEM CORR", "GPUT"): [(5, 17), (22, 16), (38, 7), (45, 5)],
+    ("LEAP SECONDS", ""): [(6 * k, 6) for k in range(4)],
+}
 # what the message can hold (IS-GPS-200 tables 20-I and 20-III): (column, name, lowest, highest)
 _RANGES = (
     (satellites.SQRT_A, "sqrt(A)", 2530.0, 8192.0),
@@ -59,6 +74,7 @@ class _Set(NamedTuple):
     iode: int
     transmission_s: float
     elements: np.ndarray
+    status: list[int]
 
 
 class _Reader:
@@ -90,6 +106,31 @@ class _Reader:
             last = len(self.lines) - 1
             self.refuse(last, "the file ends in its header, expected END OF HEADER")
         return int(version[0]), ends[0] + 1
+
+    def iono_utc(self) -> IonoUtc:
+        """Ionosphere and UTC parameters of the header, zeros where it has none."""
+        found: dict[str, list[float]] = {}
+        for k in range(1, self.header()[1]):
+            label = self.lines[k][60:].strip()
+            for (wanted, start), columns in _IONO_UTC.items():
+                if label == wanted and self.lines[k].startswith(start):
+                    found[start or label] = [self.number(k, at, False, n) for at, n in columns]
+        alpha = found.get("GPSA", found.get("ION ALPHA", [0.0] * 4))
+        beta = found.get("GPSB", found.get("ION BETA", [0.0] * 4))
+        a0, a1, tot, week = found.get("GPUT", found.get("DELTA-UTC: A0,A1,T,W", [0.0] * 4))
+        leap, future, week_lsf, day = (int(x) for x in found.get("LEAP SECONDS", [0.0] * 4))
+        return IonoUtc(
+            alpha=(alpha[0], alpha[1], alpha[2], alpha[3]),
+            beta=(beta[0], beta[1], beta[2], beta[3]),
+            a0=a0,
+            a1=a1,
+            tot_s=tot,
+            week_t=int(week),
+            leap_s=leap,
+            week_lsf=week_lsf,
+            day=day,
+            leap_future_s=future or leap,
+        )
 
     def records(self) -> Iterator[_Set]:
         """GPS records; in a mixed version 3 file the other systems are skipped."""
@@ -140,7 +181,14 @@ class _Reader:
         sent = field(_SENT, needed=False)
         if not -WEEK_S <= sent <= 2 * WEEK_S:  # 0.9999E+09: unknown
             sent = toe - satellites.MAX_AGE_S
-        return _Set(prn, week, int(field(_HEALTH)), int(field(_IODE)), sent, elements)
+        iode = int(field(_IODE))
+        status = [0] * satellites.N_STATUS
+        status[satellites.IODC] = int(field(_IODC, needed=False)) or iode
+        status[satellites.URA] = bisect_left(_URA_M, field(_ACCURACY, needed=False))
+        status[satellites.CODE_ON_L2] = int(field(_CODE_ON_L2, needed=False))
+        status[satellites.L2P_OFF] = int(field(_L2P, needed=False))
+        status[satellites.FIT_INTERVAL] = int(field(_FIT, needed=False) > 4.0)
+        return _Set(prn, week, int(field(_HEALTH)), iode, sent, elements, status)
 
     def epoch(self, version: int, first: int) -> tuple[int, float]:
         """PRN and toc in seconds since the GPS epoch."""
@@ -158,8 +206,8 @@ class _Reader:
             self.refuse(first, f"{line[:23]!r}: expected PRN, year month day hour minute second")
         return prn, 86_400.0 * days + 3600.0 * hour + 60.0 * minute + second
 
-    def number(self, line: int, at: int, needed: bool) -> float:
-        text = self.lines[line][at : at + 19].strip()
+    def number(self, line: int, at: int, needed: bool, width: int = 19) -> float:
+        text = self.lines[line][at : at + width].strip()
         if not text and not needed:
             return 0.0
         try:
@@ -167,7 +215,7 @@ class _Reader:
         except ValueError:
             value = math.nan
         if not math.isfinite(value):
-            self.refuse(line, f"{text!r} in columns {at + 1}-{at + 19}: expected a number")
+            self.refuse(line, f"{text!r} in columns {at + 1}-{at + width}: expected a number")
         return value
 
 
@@ -194,4 +242,6 @@ def read_navigation(path: str | Path) -> Constellation:
         iode=np.array([s.iode for s in sets], dtype=np.int64),
         transmission_s=np.array([s.transmission_s for s in sets]),
         source=reader.name,
+        status=np.array([s.status for s in sets], dtype=np.int64),
+        iono_utc=reader.iono_utc(),
     )

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,8 +36,43 @@ AF2 = 19  # [s/s^2]
 TGD = 20  # [s]
 N_ELEMENT = 21
 
+# Columns of a set's other facts (IS-GPS-200 20.3.3.3.1 and 20.3.3.4.3)
+IODC = 0
+URA = 1  # user range accuracy, index 0-15
+CODE_ON_L2 = 2  # 1: P, 2: C/A
+L2P_OFF = 3  # 1: no data on the P code of L2
+FIT_INTERVAL = 4  # 0: 4 h, 1: longer
+N_STATUS = 5
+
 MAX_AGE_S = 7200.0
 """|t - toe| up to which a set is used: half of the 4 h fit interval (IS-GPS-200 20.3.4.4)"""
+
+
+class IonoUtc(NamedTuple):
+    """What page 18 of subframe 4 says to all (IS-GPS-200 20.3.3.5.1.6-7); zeros: nothing known."""
+
+    alpha: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    """Klobuchar amplitude [s, s/semicircle, ...]"""
+    beta: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    """Klobuchar period [s, s/semicircle, ...]"""
+    a0: float = 0.0
+    """GPS - UTC beyond leap seconds at the reference time [s]"""
+    a1: float = 0.0
+    """[s/s]"""
+    tot_s: float = 0.0
+    """Reference time of UTC [s of week_t]"""
+    week_t: int = 0
+    leap_s: int = 0
+    """GPS - UTC, whole seconds"""
+    week_lsf: int = 0
+    """Week of the last or next leap second (full)"""
+    day: int = 0
+    """Day of that week at whose end it comes, 1 (Sunday) to 7; 0: unknown"""
+    leap_future_s: int = 0
+    """GPS - UTC after it"""
+
+
+NO_IONO_UTC = IonoUtc()
 
 
 @dataclass(frozen=True)
@@ -53,6 +89,11 @@ class Constellation:
         Time of transmission in seconds of ``week`` (it may be negative).
     source : str
         Where the numbers come from.
+    status : (n_set, N_STATUS) int64
+        Columns are `IODC` ... `FIT_INTERVAL`.  Unless given: IODC equal to IODE, code P on L2 and
+        else zeros.
+    iono_utc : IonoUtc
+        Ionosphere and UTC parameters.
     """
 
     prn: np.ndarray
@@ -62,12 +103,22 @@ class Constellation:
     iode: np.ndarray
     transmission_s: np.ndarray
     source: str
+    status: np.ndarray = field(default_factory=lambda: np.empty((0, N_STATUS), dtype=np.int64))
+    iono_utc: IonoUtc = NO_IONO_UTC
 
     def __post_init__(self) -> None:
         n_set = len(self.prn)
+        if not len(self.status):
+            status = np.zeros((n_set, N_STATUS), dtype=np.int64)
+            status[:, IODC], status[:, CODE_ON_L2] = self.iode, 1
+            object.__setattr__(self, "status", status)
         if self.elements.shape != (n_set, N_ELEMENT):
             raise ValueError(
                 f"elements has shape {self.elements.shape}, expected ({n_set}, {N_ELEMENT})"
+            )
+        if self.status.shape != (n_set, N_STATUS):
+            raise ValueError(
+                f"status has shape {self.status.shape}, expected ({n_set}, {N_STATUS})"
             )
         for name in ("prn", "week", "health", "iode", "transmission_s"):
             if getattr(self, name).shape != (n_set,):
@@ -76,7 +127,7 @@ class Constellation:
                 )
         if not np.isfinite(self.elements).all():
             raise ValueError(f"elements of {self.source} contain a number that is not finite")
-        for name in ("prn", "week", "elements", "health", "iode", "transmission_s"):
+        for name in ("prn", "week", "elements", "health", "iode", "transmission_s", "status"):
             getattr(self, name).flags.writeable = False
 
     def __len__(self) -> int:
@@ -106,11 +157,15 @@ class Constellation:
         if not np.isfinite(tow_s):
             raise ValueError(f"tow_s = {tow_s}: expected a finite time of week [s]")
         prns = np.unique(self.prn)
-        chosen = np.array([self._choose(week, np.array([tow_s]), int(p))[0] for p in prns])
+        chosen = np.array([self.choose(week, tow_s, int(p)) for p in prns])
         found = chosen >= 0
         if not found.any():
-            raise ValueError(self._refusal(week, tow_s))
-        return prns[found], self._rows(chosen[found], week)
+            raise ValueError(self.refusal(week, tow_s))
+        return prns[found], self.rows(chosen[found], week)
+
+    def choose(self, week: int, tow_s: float, prn: int, max_age_s: float = MAX_AGE_S) -> int:
+        """Index of the set that `select` takes for a satellite, -1 where there is none."""
+        return int(self._choose(week, np.array([tow_s]), prn, max_age_s)[0])
 
     def at(
         self, week: int, tow_s: float | np.ndarray, prn: int
@@ -141,13 +196,15 @@ class Constellation:
         tow = np.asarray(tow_s, dtype=np.float64)
         chosen = self._choose(week, tow.ravel(), prn)
         if (chosen < 0).any():
-            raise ValueError(self._refusal(week, float(tow.ravel()[chosen < 0][0]), prn))
+            raise ValueError(self.refusal(week, float(tow.ravel()[chosen < 0][0]), prn))
         out = np.empty((tow.size, 8))
-        _orbits(self._rows(chosen, week), tow.ravel(), out)
+        _orbits(self.rows(chosen, week), tow.ravel(), out)
         out = out.reshape(*tow.shape, 8)
         return out[..., 0:3], out[..., 3:6], out[..., 6], out[..., 7]
 
-    def _choose(self, week: int, tow_s: np.ndarray, prn: int) -> np.ndarray:
+    def _choose(
+        self, week: int, tow_s: np.ndarray, prn: int, max_age_s: float = MAX_AGE_S
+    ) -> np.ndarray:
         """Index of the set to use at each time (n,), -1 where there is none."""
         sets = np.flatnonzero((self.prn == prn) & (self.health == 0))
         if not len(sets):
@@ -158,10 +215,10 @@ class Constellation:
         toe = self.elements[sets, TOE] + WEEK_S * (self.week[sets] - week)
         age = np.abs(tow_s[:, None] - toe)
         best = age.argmin(axis=1)
-        usable = age[np.arange(len(tow_s)), best] <= MAX_AGE_S
+        usable = age[np.arange(len(tow_s)), best] <= max_age_s
         return np.where(usable, sets[best], -1)
 
-    def _rows(self, sets: np.ndarray, week: int) -> np.ndarray:
+    def rows(self, sets: np.ndarray, week: int) -> np.ndarray:
         """Copy of the elements with times counted from the start of ``week``."""
         rows = self.elements[sets]
         shift = WEEK_S * (self.week[sets] - week)
@@ -172,7 +229,8 @@ class Constellation:
         rows[:, OMEGA0] += OMEGA_EARTH * shift
         return rows
 
-    def _refusal(self, week: int, tow_s: float, prn: int | None = None) -> str:
+    def refusal(self, week: int, tow_s: float, prn: int | None = None) -> str:
+        """Say that there is no set for a time, and which times there are."""
         who = "no satellite" if prn is None else f"G{prn:02d}"
         sets = self.health == 0 if prn is None else (self.health == 0) & (self.prn == prn)
         what = "has a healthy" if prn is None else "has no healthy"
@@ -187,80 +245,26 @@ class Constellation:
         )
 
 
-# Reference orbit slots at 1993-07-01 00:00 UTC: argument of latitude [deg] of slots 1-4 of planes
-# A-F, whose right ascensions of the node are 60 deg apart; GPS SPS Performance Standard (October
-# 2001), table 3-1, and its almanac form, table A.2-1.
-_SLOT_LATITUDE_DEG = (
-    (268.126, 161.786, 11.676, 41.806),
-    (80.956, 173.336, 309.976, 204.376),
-    (111.876, 11.796, 339.666, 241.556),
-    (135.226, 265.446, 35.156, 167.356),
-    (197.046, 302.596, 66.066, 333.686),
-    (238.886, 345.226, 105.206, 135.346),
-)
-_SLOT_NODE_A_DEG = 272.847
-_SLOT_GREENWICH_DEG = 15.0 * (18.0 + 36.0 / 60.0 + 14.4 / 3600.0)
-_SLOT_NODE_RATE = math.radians(-4.4874e-7)  # [rad/s], table A.2-1
-_SLOT_A = 26_559_700.0  # [m]
-_SLOT_INCLINATION = math.radians(55.0)
-# GPS time of the epoch: 1993-07-01 is day 4925 after 1980-01-06; GPS - UTC was 9 s
-_SLOT_EPOCH_S = 4925 * 86_400.0 + 9.0
-
-
-def nominal_24(week: int, tow_s: float) -> Constellation:
-    """Place the 24 slots of the GPS SPS Performance Standard around a given time.
-
-    Circular orbits without clock errors; PRN 1-24 are the slots A1, A2 ... F4.  The ground tracks
-    are held where the standard puts them, as the control segment does: the argument of latitude
-    advances by two turns for each turn of the Earth relative to the node.  The sets, one with
-    toe at ``tow_s``, serve |t - tow_s| <= 2 h.
-
-    Raises
-    ------
-    ValueError
-        The time is not a finite number.
-    """
-    if not math.isfinite(tow_s):
-        raise ValueError(f"tow_s = {tow_s}: expected a finite time of week [s]")
-    elapsed = week * WEEK_S + tow_s - _SLOT_EPOCH_S
-    turn = _SLOT_NODE_RATE - OMEGA_EARTH  # rate of the node's longitude
-    rows = np.zeros((24, N_ELEMENT))
-    for slot in range(24):
-        plane, place = divmod(slot, 4)
-        node = math.radians(_SLOT_NODE_A_DEG + 60.0 * plane - _SLOT_GREENWICH_DEG) + turn * elapsed
-        latitude = math.radians(_SLOT_LATITUDE_DEG[plane][place]) - 2.0 * turn * elapsed
-        rows[slot, OMEGA0] = math.remainder(node + OMEGA_EARTH * tow_s, 2.0 * math.pi)
-        rows[slot, M0] = math.remainder(latitude, 2.0 * math.pi)
-    rows[:, TOE] = rows[:, TOC] = tow_s
-    rows[:, SQRT_A] = math.sqrt(_SLOT_A)
-    rows[:, DELTA_N] = -2.0 * turn - math.sqrt(GM_GPS / _SLOT_A**3)
-    rows[:, OMEGA_DOT] = _SLOT_NODE_RATE
-    rows[:, I0] = _SLOT_INCLINATION
-    whole = np.zeros(24, dtype=np.int64)
-    return Constellation(
-        prn=np.arange(1, 25),
-        week=whole + week,
-        elements=rows,
-        health=whole.copy(),
-        iode=whole.copy(),
-        transmission_s=np.full(24, tow_s - MAX_AGE_S),
-        source="GPS SPS Performance Standard, 24 reference orbit slots",
-    )
-
-
 def embedded() -> Constellation:
     """Return the real GPS constellation that the package carries: 2021-03-19, East Asia's sky."""
-    from signals.embedded_2021_03_19 import SETS, SOURCE
+    from signals.embedded_2021_03_19 import ALPHA, BETA, IODC_ABOVE_IODE, LEAP, SETS, SOURCE, URA_1
 
     table = np.array(SETS)
+    prn, iode = table[:, 0].astype(np.int64), table[:, 3].astype(np.int64)
+    status = np.zeros((len(table), N_STATUS), dtype=np.int64)
+    status[:, IODC] = iode + np.array([IODC_ABOVE_IODE.get(int(p), 0) for p in prn])
+    status[:, URA] = [(int(p), toe) in URA_1 for p, toe in zip(prn, table[:, 5], strict=True)]
+    status[:, CODE_ON_L2] = 1
     return Constellation(
-        prn=table[:, 0].astype(np.int64),
+        prn=prn,
         week=table[:, 1].astype(np.int64),
         health=table[:, 2].astype(np.int64),
-        iode=table[:, 3].astype(np.int64),
+        iode=iode,
         transmission_s=table[:, 4].copy(),
         elements=table[:, 5:].copy(),
         source=SOURCE,
+        status=status,
+        iono_utc=IonoUtc(ALPHA, BETA, **LEAP),
     )
 
 

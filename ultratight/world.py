@@ -20,6 +20,7 @@ from signals.correlator_model import ModelCorrelator
 from signals.front_end import Recording, SyntheticIf
 from signals.nco import Correlator
 from signals.noise import generator
+from signals.nominal import nominal_24
 from signals.propagation import (
     SignalState,
     elevation_azimuth,
@@ -305,5 +306,5 @@ def _constellation(s: Scenario) -> satellites.Constellation:
     if s.constellation == "embedded":
         return satellites.embedded()
     if s.constellation == "nominal-24":
-        return satellites.nominal_24(s.start_week, s.start_tow_s)
+        return nominal_24(s.start_week, s.start_tow_s)
     return read_navigation(Path(s.constellation))

@@ -1,5 +1,6 @@
 """RINEX navigation files: real ones, a round trip, and everything that can be wrong with them."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 
 from signals import satellites
 from signals.rinex import read_navigation
-from signals.satellites import Constellation, embedded
+from signals.satellites import Constellation, IonoUtc, embedded
 
 DATA = Path(__file__).parents[3] / "shared" / "data" / "orbit"
 needs_data = pytest.mark.skipif(
@@ -95,9 +96,9 @@ def as_rinex(c: Constellation, version: int, exponent: str = "D") -> str:
             [e[s.CUC], e[s.ECC], e[s.CUS], e[s.SQRT_A]],
             [e[s.TOE], e[s.CIC], e[s.OMEGA0], e[s.CIS]],
             [e[s.I0], e[s.CRC], e[s.OMEGA], e[s.OMEGA_DOT]],
-            [e[s.IDOT], 1.0, c.week[k], 0.0],
-            [2.0, c.health[k], e[s.TGD], c.iode[k]],
-            [c.transmission_s[k], 4.0],
+            [e[s.IDOT], c.status[k, s.CODE_ON_L2], c.week[k], c.status[k, s.L2P_OFF]],
+            [2.0 + 0.8 * c.status[k, s.URA], c.health[k], e[s.TGD], c.status[k, s.IODC]],
+            [c.transmission_s[k], 4.0 + 2.0 * c.status[k, s.FIT_INTERVAL]],
         ]
         clock = [e[s.AF0], e[s.AF1], e[s.AF2]]
         lines.append(head + "".join(number(x, exponent) for x in clock))
@@ -110,9 +111,72 @@ def as_rinex(c: Constellation, version: int, exponent: str = "D") -> str:
 def test_round_trip_of_the_embedded_constellation(tmp_path, version, exponent):
     own = embedded()
     back = read_navigation(written(tmp_path, as_rinex(own, version, exponent), "x.21n"))
-    for name in ("prn", "week", "health", "iode", "transmission_s", "elements"):
+    for name in ("prn", "week", "health", "iode", "transmission_s", "elements", "status"):
         np.testing.assert_array_equal(getattr(back, name), getattr(own, name), err_msg=name)
+    assert (own.status[:, satellites.IODC] != own.iode).sum() == 2
+    assert own.status[:, satellites.URA].sum() == 1
     assert back.source == "x.21n"
+
+
+def test_other_facts_of_a_set(tmp_path):
+    own = embedded()
+    status = np.tile([1023, 1, 3, 1, 1], (len(own), 1))
+    back = read_navigation(written(tmp_path, as_rinex(replace(own, status=status), 3)))
+    np.testing.assert_array_equal(back.status, status)
+    # user range accuracy in metres to its index (IS-GPS-200 20.3.3.3.1.3); blanks at the end of
+    # records, as some writers leave them: IODC of IODE
+    text = RINEX_3.replace(
+        "  .200000000000D+01  .000000000000D+00  .186", "{}  .000000000000D+00  .186"
+    )
+    for metres, index in ((0.0, 0), (2.0, 0), (2.4, 0), (2.8, 1), (4.0, 2), (5.7, 3), (8.0, 4),
+                          (11.3, 5), (16.0, 6), (32.0, 7), (6144.0, 14), (8192.0, 15)):  # fmt: skip
+        c = read_navigation(written(tmp_path, text.format(number(metres))))
+        assert c.status[0].tolist() == [37, index, 1, 0, 0]
+    text = RINEX_3.replace("  .186264514923D-08  .370000000000D+02", "  .186264514923D-08")
+    assert read_navigation(written(tmp_path, text)).status[0].tolist() == [37, 0, 1, 0, 0]
+
+
+def test_ionosphere_and_utc_of_both_versions(tmp_path):
+    end = f"{'':60}END OF HEADER"
+    # version 2: header of brdc1180.21n (IGS broadcast file of 2021-04-28)
+    header = """\
+    0.9313D-08  0.1490D-07 -0.5960D-07 -0.1192D-06          ION ALPHA
+    0.8806D+05  0.4915D+05 -0.1311D+06 -0.3277D+06          ION BETA
+   -0.279396772385D-08-0.266453525910D-14   503808     2155 DELTA-UTC: A0,A1,T,W
+    18                                                      LEAP SECONDS
+"""
+    c = read_navigation(written(tmp_path, as_rinex(embedded(), 2).replace(end, header + end)))
+    assert c.iono_utc == IonoUtc(
+        alpha=(0.9313e-8, 0.1490e-7, -0.5960e-7, -0.1192e-6),
+        beta=(0.8806e5, 0.4915e5, -0.1311e6, -0.3277e6),
+        a0=-0.279396772385e-8,
+        a1=-0.266453525910e-14,
+        tot_s=503_808.0,
+        week_t=2155,
+        leap_s=18,
+        leap_future_s=18,
+    )
+    # version 3: header of the embedded constellation's file, its Galileo lines passed over; the
+    # UTC line is that of version 2 in the form of table A5
+    header = """\
+GPSA    .1118D-07   .7451D-08  -.5960D-07  -.5960D-07       IONOSPHERIC CORR
+GPSB    .9011D+05   .0000D+00  -.1966D+06  -.6554D+05       IONOSPHERIC CORR
+GAL     .4550D+02   .5859D-01   .2228D-02                   IONOSPHERIC CORR
+GPUT -2.7939677238E-09-2.664535259E-15 503808 2155          TIME SYSTEM CORR
+    18    18  2031     7                                    LEAP SECONDS
+"""
+    c = read_navigation(written(tmp_path, as_rinex(embedded(), 3).replace(end, header + end)))
+    own = embedded().iono_utc
+    utc = {"a0": -2.7939677238e-9, "a1": -2.664535259e-15, "tot_s": 503_808.0, "week_t": 2155}
+    assert c.iono_utc == own._replace(**utc)
+    assert read_navigation(written(tmp_path, as_rinex(embedded(), 3))).iono_utc == IonoUtc()
+    bad = as_rinex(embedded(), 2).replace(
+        end, header.replace("GPSA    .1118", "GPSA    .11x8") + end
+    )
+    with pytest.raises(
+        ValueError, match=r"line 2: '\.11x8D-07' in columns 6-17: expected a number"
+    ):
+        read_navigation(written(tmp_path, bad, "bad.nav"))
 
 
 @needs_data

@@ -11,7 +11,7 @@ import pytest
 from signals import satellites
 from signals.constants import C_MPS, GM_GPS, OMEGA_EARTH, WEEK_S
 from signals.rinex import read_navigation
-from signals.satellites import Constellation, embedded, nominal_24, orbit
+from signals.satellites import Constellation, embedded, orbit
 
 DATA = Path(__file__).parents[3] / "shared" / "data" / "orbit"
 needs_data = pytest.mark.skipif(
@@ -239,77 +239,9 @@ def test_arrays_are_checked_and_frozen():
         good.elements[0, 0] = 1.0
     with pytest.raises(ValueError, match=r"iode has shape \(3,\), expected \(24,\)"):
         replace(good, iode=np.zeros(3, dtype=np.int64))
+    with pytest.raises(ValueError, match=r"status has shape \(24, 4\), expected \(24, 5\)"):
+        replace(good, status=np.zeros((24, 4), dtype=np.int64))
     with pytest.raises(ValueError, match="elements has shape"):
         replace(good, elements=np.zeros((24, 5)))
     with pytest.raises(ValueError, match="not finite"):
         replace(good, elements=np.full((24, satellites.N_ELEMENT), np.nan))
-
-
-def test_nominal_slots_at_their_epoch():
-    # SPS Performance Standard, table 3-1, epoch 1993-07-01 00:00 UTC = GPS week 703, Thursday,
-    # plus 9 s: slot B3 (PRN 7) at argument of latitude 309.976 deg, node 332.847 deg east of the
-    # equinox, Greenwich at 18 h 36 m 14.4 s
-    where, velocity, clock, _ = nominal_24(703, 345_609.0).at(703, 345_609.0, 7)
-    node = np.radians(332.847 - (18 * 15 + 36 / 4 + 14.4 / 240))
-    u, i, a = np.radians(309.976), np.radians(55.0), 26_559_700.0
-    along, across = np.cos(u), np.sin(u) * np.cos(i)
-    expected = a * np.array([
-        along * np.cos(node) - across * np.sin(node),
-        along * np.sin(node) + across * np.cos(node),
-        np.sin(u) * np.sin(i),
-    ])  # fmt: skip
-    np.testing.assert_allclose(where, expected, rtol=0, atol=1e-3)
-    assert clock == 0.0
-    assert velocity @ where == pytest.approx(0.0, abs=1e-2)  # circular
-
-
-@pytest.mark.parametrize(("week", "tow"), [(703, 345_609.0), (2149, 475_220.0), (2400, 3.0)])
-def test_nominal_ground_tracks_stay_and_repeat_every_sidereal_day(week, tow):
-    constellation = nominal_24(week, tow)
-    prns, rows = constellation.select(week, tow + 3600.0)
-    assert prns.tolist() == list(range(1, 25))
-    where = np.array([orbit(row, tow) for row in rows])[:, :3]
-    np.testing.assert_allclose(np.linalg.norm(where, axis=1), 26_559_700.0, rtol=1e-14)
-    # the equator is crossed at a fixed longitude: u + 2 (longitude of the node) is a constant of
-    # each slot, the same at any time
-    reference = nominal_24(703, 345_609.0).elements
-    now = constellation.elements
-    toes = reference[0, satellites.TOE], now[0, satellites.TOE]
-    sums = [
-        e[:, satellites.M0] + 2 * (e[:, satellites.OMEGA0] - OMEGA_EARTH * toe)
-        for e, toe in zip((reference, now), toes, strict=True)
-    ]
-    np.testing.assert_allclose(np.exp(1j * sums[0]), np.exp(1j * sums[1]), rtol=0, atol=1e-6)
-    # two revolutions bring the track back after the node's day of 86 155 s less some (table 20-IV
-    # rates): the period is that of a 26559.7 km orbit to 1e-4 (oblateness)
-    period = 2 * np.pi / (np.sqrt(GM_GPS / 26_559_700.0**3) + now[0, satellites.DELTA_N])
-    assert period == pytest.approx(2 * np.pi * np.sqrt(26_559_700.0**3 / GM_GPS), rel=1e-4)
-    later = np.array([orbit(row, tow + 2 * period) for row in rows])[:, :3]
-    np.testing.assert_allclose(later, where, rtol=0, atol=1.0)
-    for t in (tow - 7200.0, tow + 7200.0):
-        assert len(constellation.select(week, t)[0]) == 24
-    with pytest.raises(ValueError, match="24 reference orbit slots covers"):
-        constellation.select(week, tow + 7201.0)
-
-
-def test_nominal_constellation_serves_the_whole_earth():
-    # SPS Performance Standard 3.3: at least 4 satellites above 5 deg everywhere; 500 points of a
-    # Fibonacci lattice on a sphere, all around a day
-    k = np.arange(500)
-    z = 1 - (2 * k + 1) / 500
-    angle = np.pi * (1 + np.sqrt(5)) * k
-    up = np.stack([np.sqrt(1 - z**2) * np.cos(angle), np.sqrt(1 - z**2) * np.sin(angle), z], 1)
-    for tow in (0.0, 20_000.0, 43_000.0, 61_000.0, 80_000.0):
-        rows = nominal_24(2300, tow).select(2300, tow)[1]
-        where = np.array([orbit(row, tow)[:3] for row in rows])
-        line = where[None] - 6_371_000.0 * up[:, None]
-        sine = np.einsum("psi,pi->ps", line, up) / np.linalg.norm(line, axis=2)
-        seen = (sine > np.sin(np.radians(5.0))).sum(axis=1)
-        assert seen.min() >= 4
-        # half of 24 satellites is not in view of anyone, a third on average is
-        assert 6.5 < seen.mean() < 9.0
-
-
-def test_nominal_refuses_a_time_that_is_none():
-    with pytest.raises(ValueError, match="tow_s = inf"):
-        nominal_24(2149, np.inf)
