@@ -16,7 +16,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -132,3 +132,8 @@ def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
         return numba.njit(**options)(function)
     finally:
         numba.config.CACHE_DIR = before
+
+
+borrowing: Any = partial(kernel, _nrt=False)
+"""`kernel` for functions that neither own nor return an array: counting references to arguments, an
+atomic operation each, would cost more than much of the arithmetic"""

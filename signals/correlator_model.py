@@ -23,13 +23,12 @@ from typing import Any
 
 import numpy as np
 
-from signals.compiled import kernel
+from signals.compiled import borrowing, kernel
 from signals.constants import CA_CHIP_RATE_HZ
 from signals.error_integral import (
     AMPLITUDE,
     SPREAD,
     TRUTH_COLUMNS,
-    borrowing,
     edge,
     integrate,
     replica_at,

@@ -11,20 +11,15 @@ piece of the command: (t [s], code, chip rate, carrier, frequency, frequency rat
 from __future__ import annotations
 
 import math
-from functools import partial
 from typing import Any
 
 import numpy as np
 
-from signals.compiled import FAST_SUM, kernel
+from signals.compiled import FAST_SUM, borrowing
 from signals.front_end import GUARD_SAMPLES
 
 TRUTH_COLUMNS = 12
 _CODE, _CARRIER, AMPLITUDE, SPREAD = 2, 6, 10, 11
-
-borrowing: Any = partial(kernel, _nrt=False)
-"""`kernel` for functions that own no array: counting references to their arguments, an atomic
-operation each, would cost three times the arithmetic"""
 
 _NODE, _WEIGHT = np.polynomial.legendre.leggauss(8)
 _MAX_CYCLES = 1.5  # per interval: the 8-point rule then errs by 1.3e-7

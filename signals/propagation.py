@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from signals.compiled import kernel
+from signals.arcs import MIDDLE, arc_at, arc_index, arcs
+from signals.compiled import borrowing, kernel
 from signals.constants import (
     C_MPS,
     CA_CHIP_RATE_HZ,
@@ -135,7 +136,8 @@ def signal_state(
         raise ValueError("cn0_dbhz contains a number that is not finite on a valid piece")
     code = np.empty((n_channel, n_node - 1, 4))
     carrier = np.empty_like(code)
-    _pieces(rows, start_tow_s, code_phase_origin(start_tow_s), t_s, *motion, code, carrier)
+    sky = arcs(rows, start_tow_s + t_s[0], start_tow_s + t_s[-1])
+    _pieces(sky, start_tow_s, code_phase_origin(start_tow_s), t_s, *motion, code, carrier)
     signs = np.ascontiguousarray(symbols, dtype=np.int8)
     _check_symbols(signs, first_symbol, code[..., 0], on)
     return SignalState(t_s, code, carrier, cn0, on, signs, int(first_symbol))
@@ -217,53 +219,51 @@ def _check_symbols(symbols: np.ndarray, first: int, code: np.ndarray, on: np.nda
         )
 
 
-@kernel
-def pseudorange(
-    row: np.ndarray,
-    tow_s: float,
+@borrowing(inline="always")
+def light_time(
+    x: float, y: float, z: float, vx: float, vy: float, vz: float, back: float, tau: float,
     r: np.ndarray,
-    v: np.ndarray,
-    clock_m: float,
-    clock_rate_mps: float,
-) -> tuple[float, float, float, float, float]:
-    """Pseudorange [m], its rate [m/s] and line of sight (3) of one satellite.
+) -> float:  # fmt: skip
+    """Light time to r (3,) from where the satellite is ``back`` seconds after x, y, z [s].
 
-    ``tow_s`` is what the receiver clock reads, GPS time is tow_s - clock_m / c; r (3,), v (3,) are
-    the antenna's position and d r / d(GPS time) in ECEF.  With s the satellite at transmission,
-    turned into the frame of reception, and u the unit vector from antenna to s:
+    The Sagnac effect is that of the light time ``tau``: to be iterated.
+    """
+    sin_a = OMEGA_EARTH * tau  # 6e-6: the next terms of sine and cosine are below 1e-16
+    cos_a = 1.0 - 0.5 * sin_a * sin_a
+    px = x + vx * back
+    py = y + vy * back
+    dx = cos_a * px + sin_a * py - r[0]
+    dy = cos_a * py - sin_a * px - r[1]
+    dz = z + vz * back - r[2]
+    return math.sqrt(dx * dx + dy * dy + dz * dz) / C_MPS
+
+
+@borrowing(inline="always")
+def seen(
+    satellite: Any, back: float, tau: float, r: np.ndarray, v: np.ndarray, clock_m: float,
+    clock_rate_mps: float,
+) -> tuple[float, float, float, float, float]:  # fmt: skip
+    """`pseudorange` of a ``satellite`` as `orbit` gives it, ``back`` seconds later, at light time.
+
+    With s the satellite at transmission, turned into the frame of reception, and u the unit
+    vector from antenna to s:
 
         rho = |s - r| + clock_m - c b_sv(t - tau)
         r'  = u.(R v_s - v) / (1 - u.(w k - R v_s) / c),     k = (s_y, -s_x, 0)
         rho_rate = (r' - c b_sv' (1 - r'/c)) (1 - clock_rate/c) + clock_rate
-
-    the exact derivative with respect to the receiver's time.
     """
-    b = clock_m / C_MPS
-    tau = 0.075
-    x = y = z = vx = vy = vz = clock = clock_rate = 0.0
-    sx = sy = sz = sin_a = cos_a = distance = 0.0
-    # Two evaluations of the orbit: the first, within 20 ms of the time sought, gives that time to
-    # 1e-12 s by its own velocity; the second then leaves no error that a double can hold.
-    for _ in range(2):
-        t_at = tow_s - (tau + b)
-        lag = tow_s - t_at  # exact, where t_at has been rounded (0.1 us x 800 m/s at 6e5 s)
-        x, y, z, vx, vy, vz, clock, clock_rate = orbit(row, t_at)
-        for _ in range(2):
-            back = lag - (tau + b)
-            px = x + vx * back
-            py = y + vy * back
-            sz = z + vz * back
-            sin_a = OMEGA_EARTH * tau  # 6e-6: the next terms of sine and cosine are below 1e-16
-            cos_a = 1.0 - 0.5 * sin_a * sin_a
-            sx = cos_a * px + sin_a * py
-            sy = cos_a * py - sin_a * px
-            distance = math.sqrt((sx - r[0]) ** 2 + (sy - r[1]) ** 2 + (sz - r[2]) ** 2)
-            tau = distance / C_MPS
+    x, y, z, vx, vy, vz, clock, clock_rate = satellite
+    sin_a = OMEGA_EARTH * tau
+    cos_a = 1.0 - 0.5 * sin_a * sin_a
+    px = x + vx * back
+    py = y + vy * back
+    sx = cos_a * px + sin_a * py
+    sy = cos_a * py - sin_a * px
+    dx, dy, dz = sx - r[0], sy - r[1], z + vz * back - r[2]
+    distance = math.sqrt(dx * dx + dy * dy + dz * dz)
+    ux, uy, uz = dx / distance, dy / distance, dz / distance
     wx = cos_a * vx + sin_a * vy
     wy = cos_a * vy - sin_a * vx
-    ux = (sx - r[0]) / distance
-    uy = (sy - r[1]) / distance
-    uz = (sz - r[2]) / distance
     along = ux * wx + uy * wy + uz * vz
     turning = OMEGA_EARTH * (ux * sy - uy * sx)
     approach = along - (ux * v[0] + uy * v[1] + uz * v[2])
@@ -274,9 +274,60 @@ def pseudorange(
     return rho, rho_rate, ux, uy, uz
 
 
-@kernel
+@borrowing
+def pseudorange(
+    row: np.ndarray,
+    tow_s: float,
+    r: np.ndarray,
+    v: np.ndarray,
+    clock_m: float,
+    clock_rate_mps: float,
+) -> tuple[float, float, float, float, float]:
+    """Pseudorange [m], its rate [m/s] and line of sight (3) of one satellite, from its elements.
+
+    ``tow_s`` is what the receiver clock reads, GPS time is tow_s - clock_m / c; r (3,), v (3,) are
+    the antenna's position and d r / d(GPS time) in ECEF.  The rate is the exact derivative with
+    respect to the receiver's time; see `seen`.
+    """
+    b = clock_m / C_MPS
+    tau = 0.075
+    # Two evaluations of the orbit: the first, within 20 ms of the time sought, gives that time to
+    # 1e-12 s by its own velocity; the second then leaves no error that a double can hold.
+    t_at = tow_s - (tau + b)
+    lag = tow_s - t_at  # exact, where t_at has been rounded (0.1 us x 800 m/s at 6e5 s)
+    x, y, z, vx, vy, vz, _, _ = orbit(row, t_at)
+    for _ in range(2):
+        tau = light_time(x, y, z, vx, vy, vz, lag - (tau + b), tau, r)
+    t_at = tow_s - (tau + b)
+    lag = tow_s - t_at
+    satellite = orbit(row, t_at)
+    x, y, z, vx, vy, vz, _, _ = satellite
+    tau = light_time(x, y, z, vx, vy, vz, lag - (tau + b), tau, r)
+    return seen(satellite, lag - (tau + b), tau, r, v, clock_m, clock_rate_mps)
+
+
+@borrowing(inline="always")
+def pseudorange_by_arc(
+    arc: np.ndarray,
+    i: int,
+    tow_s: float,
+    r: np.ndarray,
+    v: np.ndarray,
+    clock_m: float,
+    clock_rate_mps: float,
+) -> tuple[float, float, float, float, float]:
+    """`pseudorange` of satellite i of an arc: within 3e-8 m and 1e-9 m/s of it, 6 times as fast."""
+    since = tow_s - arc[MIDDLE, i] - clock_m / C_MPS
+    tau = 0.075
+    x, y, z, vx, vy, vz, _, _ = arc_at(arc, i, since - 0.075)
+    for _ in range(2):
+        tau = light_time(x, y, z, vx, vy, vz, 0.075 - tau, tau, r)
+    return seen(arc_at(arc, i, since - tau), 0.0, tau, r, v, clock_m, clock_rate_mps)
+
+
+@borrowing
 def predict_channels(
-    rows: np.ndarray,
+    arcs: np.ndarray,
     tow_s: float,
     r: np.ndarray,
     v: np.ndarray,
@@ -286,19 +337,20 @@ def predict_channels(
     out_rate: np.ndarray,
     out_u: np.ndarray,
 ) -> None:
-    """`pseudorange` of each row into out_rho (n_channel,), out_rate (n_channel,), out_u (n, 3)."""
-    for k in range(rows.shape[0]):
-        rho, rate, ux, uy, uz = pseudorange(rows[k], tow_s, r, v, clock_m, clock_rate_mps)
-        out_rho[k] = rho
-        out_rate[k] = rate
-        out_u[k, 0] = ux
-        out_u[k, 1] = uy
-        out_u[k, 2] = uz
+    """Pseudoranges of all channels of `arcs.arcs` at one time.
+
+    Into out_rho (n_channel,), out_rate (n_channel,), out_u (n_channel, 3); see `pseudorange`.
+    """
+    arc = arcs[arc_index(arcs, tow_s)]
+    for i in range(arc.shape[1]):
+        out_rho[i], out_rate[i], out_u[i, 0], out_u[i, 1], out_u[i, 2] = pseudorange_by_arc(
+            arc, i, tow_s, r, v, clock_m, clock_rate_mps
+        )
 
 
 @kernel
 def _pieces(
-    rows: np.ndarray,
+    arcs: np.ndarray,
     start_tow_s: float,
     origin: float,
     t_s: np.ndarray,
@@ -314,11 +366,12 @@ def _pieces(
     cycles_per_m = GPS_L1_HZ / C_MPS
     n_piece = len(t_s) - 1
     h = (t_s[n_piece] - t_s[0]) / n_piece
-    for i in range(rows.shape[0]):
+    for i in range(arcs.shape[2]):
         y0 = m0 = 0.0
         for k in range(n_piece + 1):
-            y1, m1, _, _, _ = pseudorange(
-                rows[i], start_tow_s + t_s[k], r[k], v[k], clock_m[k], clock_rate_mps[k]
+            tow_s = start_tow_s + t_s[k]
+            y1, m1, _, _, _ = pseudorange_by_arc(
+                arcs[arc_index(arcs, tow_s)], i, tow_s, r[k], v[k], clock_m[k], clock_rate_mps[k]
             )
             if k > 0:
                 mean = (y1 - y0) / h

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from signals.arcs import arcs
 from signals.constants import C_MPS, GPS_L1_HZ
 from signals.nco import Nco, Taps
 from signals.propagation import elevation_azimuth, predict_channels
@@ -105,9 +106,11 @@ def truth_variables(world: World, t_s: np.ndarray) -> dict[str, Variable]:
     n = world.prn.size
     imu, sensors = world.imu
     rho, rate, u = np.empty((t_s.size, n)), np.empty((t_s.size, n)), np.empty((t_s.size, n, 3))
+    tow = world.scenario.start_tow_s
+    sky = arcs(world.elements, tow, tow + (t_s[-1] if t_s.size else 0.0))
     for k in range(t_s.size):
         predict_channels(
-            world.elements, world.scenario.start_tow_s + t_s[k], r[k], v[k],
+            sky, world.scenario.start_tow_s + t_s[k], r[k], v[k],
             clock_m[k], clock_rate[k], rho[k], rate[k], u[k],
         )  # fmt: skip
     accel_bias, gyro_bias = (

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from signals import clock, satellites
+from signals.arcs import arcs
 from signals.codes import GPS_L1CA
 from signals.constants import C_MPS
 from signals.correlator import SampleCorrelator
@@ -108,13 +109,13 @@ class World:
     def _choose_satellites(self) -> None:
         s = self.scenario
         try:
-            sky = _constellation(s)
-            prn, rows = sky.select(s.start_week, s.start_tow_s)
+            prn, rows = _constellation(s).select(s.start_week, s.start_tow_s)
         except (ValueError, OSError) as error:
             raise InvalidInput(f"constellation: {error}{_other_sky(s)}") from None
         r, v = self.antenna(np.zeros(1))
         rho, rate, u = np.empty(prn.size), np.empty(prn.size), np.empty((prn.size, 3))
-        predict_channels(rows, s.start_tow_s, r[0], v[0], 0.0, 0.0, rho, rate, u)
+        sky = arcs(rows, s.start_tow_s, s.start_tow_s)
+        predict_channels(sky, s.start_tow_s, r[0], v[0], 0.0, 0.0, rho, rate, u)
         elevation = np.degrees(elevation_azimuth(r[0], u)[0])
         keep = elevation >= s.mask_deg
         if s.prns is not None:

@@ -10,10 +10,11 @@ from scipy.spatial.transform import Rotation
 from ultratight.ins.attitude import (
     euler_from_rotation,
     orthonormalise,
-    product,
     rotation_from_euler,
     rotation_from_vector,
     skew,
+    turn_left,
+    turn_right,
     vector_from_rotation,
 )
 
@@ -76,6 +77,11 @@ def test_orthonormalise_is_the_polar_factor(phi, seed):
     np.testing.assert_allclose(orthonormalise(C), polar(C)[0], atol=4e-15)
 
 
-def test_product():
-    A, B = np.random.default_rng(1).standard_normal((2, 3, 3))
-    np.testing.assert_allclose(product(A, B), A @ B, rtol=1e-14, atol=1e-15)
+@given(VECTOR, VECTOR)
+def test_turns_in_place_are_products_with_the_exponential(phi, psi):
+    C = expm(skew(psi))
+    left, right = C.copy(), C.copy()
+    turn_left(*phi, left)
+    turn_right(right, *phi)
+    np.testing.assert_allclose(left, expm(skew(phi)) @ C, atol=6e-15)
+    np.testing.assert_allclose(right, C @ expm(skew(phi)), atol=6e-15)

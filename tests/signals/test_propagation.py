@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from signals import satellites
+from signals.arcs import arcs
 from signals.constants import C_MPS, CA_CHIP_RATE_HZ, GPS_L1_HZ, OMEGA_EARTH
 from signals.propagation import (
     CHIPS_PER_SYMBOL,
@@ -138,10 +139,14 @@ def test_clock_enters_with_its_sign():
 def test_predict_channels_is_pseudorange_of_each():
     n = len(ROWS)
     rho, rate, u = np.empty(n), np.empty(n), np.empty((n, 3))
-    predict_channels(ROWS, TOW, R0, V0, 10.0, -2.0, rho, rate, u)
-    for k in range(n):
-        expected = pseudorange(ROWS[k], TOW, R0, V0, 10.0, -2.0)
-        assert (rho[k], rate[k], *u[k]) == expected
+    for t in (0.0, 17.3, 59.99, 60.01, 110.0):
+        predict_channels(arcs(ROWS, TOW, TOW + 110.0), TOW + t, R0, V0, 10.0, -2.0, rho, rate, u)
+        for k in range(n):
+            expected = pseudorange(ROWS[k], TOW + t, R0, V0, 10.0, -2.0)
+            # the orbit's own rounding, a few units of 2^-53 at 2.7e7 m and 3e3 m/s
+            assert rho[k] == pytest.approx(expected[0], rel=0, abs=5e-8)
+            assert rate[k] == pytest.approx(expected[1], rel=0, abs=2e-9)
+            np.testing.assert_allclose(u[k], expected[2:], rtol=0, atol=4e-15)
 
 
 def smooth(t: float) -> tuple[np.ndarray, np.ndarray]:

@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from signals.propagation import code_phase_origin
+from signals.arcs import arcs
 from ultratight.ins.imu import Increments
 from ultratight.scenario import load
 from ultratight.tracking.steering import (
     WAVELENGTH_M,
     feed_back,
     mean_known,
-    new_steering,
-    predict_now,
+    predict,
+    start,
     steer_epoch,
 )
 from ultratight.world import World
@@ -31,15 +31,20 @@ def world():
 
 def perfect_state(world, t_s):
     """A Steering that holds the truth at receiver time t_s."""
-    s = new_steering(world.prn.size, 0.005)
+    s, _ = start(world.knows, 0.005)
     motion = world.trajectory.at(world.true_time(np.array([t_s])))
     s.r_eb_e[:], s.v_eb_e[:], s.C_b_e[:] = motion.r_eb_e[0], motion.v_eb_e[0], motion.C_b_e[0]
     node = round(t_s / 0.005)
     s.clock[:] = world.clock.clock_m[node], world.clock.clock_rate_mps[node]
     imu = world.imu[0]
     s.last_alpha[:], s.last_nu[:] = imu.alpha_ib_b[node], imu.nu_ib_b[node]
-    predict_now(s, world.elements, world.scenario.start_tow_s + t_s, world.lever_arm_b_m)
+    predict(s, sky(world), t_s)
     return s
+
+
+def sky(world):
+    tow = world.scenario.start_tow_s
+    return arcs(world.elements, tow, tow + 60.0)
 
 
 def increments(world, t_s, n=N_PIECE):
@@ -50,12 +55,8 @@ def increments(world, t_s, n=N_PIECE):
 
 
 def command(world, s, imu):
-    n, m = world.prn.size, imu.t_s.size - 1
-    out = [np.empty((m, n)) for _ in range(5)]
-    steer_epoch(
-        s, imu.t_s, imu.alpha_ib_b, imu.nu_ib_b, world.elements, world.scenario.start_tow_s,
-        code_phase_origin(world.scenario.start_tow_s), world.lever_arm_b_m, *out,
-    )  # fmt: skip
+    out = np.empty((5, imu.t_s.size - 1, world.prn.size))
+    steer_epoch(s.buffer, sky(world), imu.t_s, imu.alpha_ib_b, imu.nu_ib_b, out)
     return out
 
 
@@ -73,7 +74,7 @@ def nco_phase(imu, out, piece, dt):
 
 
 def known_phase(s, piece, dt):
-    c = s.known_carrier[s.known_t_s.shape[0] - N_PIECE + piece]
+    c = s.known_carrier[(int(s.newest[0]) + 1 - N_PIECE + piece) % s.known_t_s.shape[0]]
     return c[:, 0] + dt * (c[:, 1] + dt * (c[:, 2] + dt * c[:, 3]))
 
 
@@ -122,12 +123,11 @@ def test_feedback_moves_the_nco_phase_by_the_phase_correction_alone(world):
     imu = increments(world, START_S)
     command(world, s, imu)
     t = imu.t_s[-1]
-    tow = world.scenario.start_tow_s + t
     before = s.phase_offset - s.rho / WAVELENGTH_M
     phase_m = np.linspace(-0.02, 0.02, world.prn.size)
     x = np.zeros(17)
     x[:3], x[3:6], x[15], x[16] = [3.0, -2.0, 1.0], [0.3, 0.1, -0.2], 5.0, 0.4
-    feed_back(s, x, phase_m, world.elements, tow, t, world.lever_arm_b_m)
+    feed_back(s.buffer, sky(world), x, phase_m, t)
     after = s.phase_offset - s.rho / WAVELENGTH_M
     np.testing.assert_allclose(after - before, -phase_m / WAVELENGTH_M, atol=1e-6)
 
@@ -141,16 +141,13 @@ def test_after_feedback_of_the_true_error_the_past_is_that_of_the_truth(world):
     s.v_eb_e[:] -= x[3:6]
     s.clock[0] -= x[15] - 0.02 * x[16]
     s.clock[1] -= x[16]
-    predict_now(s, world.elements, world.scenario.start_tow_s + START_S, world.lever_arm_b_m)
+    predict(s, sky(world), START_S)
     imu = increments(world, START_S)
     out = command(world, s, imu)
     t = imu.t_s[-1]
     phase_at_end = s.phase_offset - s.rho / WAVELENGTH_M
     error_cycles = true_phase(world, t, "carrier_phase_cycles") - phase_at_end
-    feed_back(
-        s, x, -error_cycles * WAVELENGTH_M, world.elements, world.scenario.start_tow_s + t, t,
-        world.lever_arm_b_m,
-    )  # fmt: skip
+    feed_back(s.buffer, sky(world), x, -error_cycles * WAVELENGTH_M, t)
     for piece in range(N_PIECE):
         for dt in (0.0, 0.0025, 0.005):
             rest = nco_phase(imu, out, piece, dt) + known_phase(s, piece, dt)

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from signals.compiled import kernel
+from signals.compiled import borrowing, kernel
 
 
 def rotation_from_euler(roll: float, pitch: float, yaw: float) -> np.ndarray:
@@ -76,20 +76,9 @@ def skew(a: np.ndarray) -> np.ndarray:
     return S
 
 
-@kernel
-def product(A: np.ndarray, B: np.ndarray) -> np.ndarray:
-    """A @ B for 3 x 3 matrices, without the price of a BLAS call."""
-    out = np.empty((3, 3))
-    for i in range(3):
-        for j in range(3):
-            out[i, j] = A[i, 0] * B[0, j] + A[i, 1] * B[1, j] + A[i, 2] * B[2, j]
-    return out
-
-
-@kernel
-def rotation_from_vector(phi: np.ndarray) -> np.ndarray:
-    """exp([phi x]) (3, 3) for a rotation vector phi (3,) [rad] (Rodrigues; Groves 5.73)."""
-    x, y, z = phi[0], phi[1], phi[2]
+@borrowing
+def rotation(x: float, y: float, z: float) -> tuple[float, ...]:
+    """exp([phi x]) row by row (9) for a rotation vector x, y, z [rad] (Rodrigues; Groves 5.73)."""
     s2 = x * x + y * y + z * z
     if s2 < 1e-4:  # the next terms are below 2e-17
         a = 1.0 - s2 / 6.0 * (1.0 - s2 / 20.0 * (1.0 - s2 / 42.0))
@@ -99,34 +88,72 @@ def rotation_from_vector(phi: np.ndarray) -> np.ndarray:
         a = math.sin(s) / s
         half = math.sin(0.5 * s)
         b = 2.0 * half * half / s2
-    C = np.empty((3, 3))
-    C[0, 0] = 1.0 - b * (y * y + z * z)
-    C[1, 1] = 1.0 - b * (x * x + z * z)
-    C[2, 2] = 1.0 - b * (x * x + y * y)
-    C[0, 1], C[1, 0] = b * x * y - a * z, b * x * y + a * z
-    C[0, 2], C[2, 0] = b * x * z + a * y, b * x * z - a * y
-    C[1, 2], C[2, 1] = b * y * z - a * x, b * y * z + a * x
-    return C
+    return (
+        1.0 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y,
+        b * x * y + a * z, 1.0 - b * (x * x + z * z), b * y * z - a * x,
+        b * x * z - a * y, b * y * z + a * x, 1.0 - b * (x * x + y * y),
+    )  # fmt: skip
 
 
 @kernel
-def orthonormalise(C: np.ndarray) -> np.ndarray:
-    """The rotation nearest to C (3, 3), which must be within a few tenths of one.
+def rotation_from_vector(phi: np.ndarray) -> np.ndarray:
+    """`rotation` of phi (3,) as a matrix (3, 3)."""
+    C = np.empty((3, 3))
+    (
+        C[0, 0], C[0, 1], C[0, 2], C[1, 0], C[1, 1], C[1, 2], C[2, 0], C[2, 1], C[2, 2],
+    ) = rotation(phi[0], phi[1], phi[2])  # fmt: skip
+    return C
+
+
+@borrowing
+def turn_left(x: float, y: float, z: float, C: np.ndarray) -> None:
+    """C (3, 3) <- exp([phi x]) C, in place."""
+    a, b, c, d, e, f, g, h, k = rotation(x, y, z)
+    for j in range(3):
+        p, q, r = C[0, j], C[1, j], C[2, j]
+        C[0, j] = a * p + b * q + c * r
+        C[1, j] = d * p + e * q + f * r
+        C[2, j] = g * p + h * q + k * r
+
+
+@borrowing
+def turn_right(C: np.ndarray, x: float, y: float, z: float) -> None:
+    """C (3, 3) <- C exp([phi x]), in place."""
+    a, b, c, d, e, f, g, h, k = rotation(x, y, z)
+    for i in range(3):
+        p, q, r = C[i, 0], C[i, 1], C[i, 2]
+        C[i, 0] = p * a + q * d + r * g
+        C[i, 1] = p * b + q * e + r * h
+        C[i, 2] = p * c + q * f + r * k
+
+
+@borrowing
+def make_orthonormal(C: np.ndarray) -> None:
+    """Replace C (3, 3), within a few tenths of a rotation, by the nearest one.
 
     Newton's iteration C <- C (3 I - C' C) / 2 for the orthogonal polar factor (Higham, *Functions
     of Matrices*, 2008, section 8.3): the error squares at each round.
     """
-    out = C.copy()
-    half = np.empty((3, 3))
     for _ in range(12):
-        error = 0.0
+        # half of the defect I - C' C, symmetric
+        a = 0.5 * (1.0 - (C[0, 0] * C[0, 0] + C[1, 0] * C[1, 0] + C[2, 0] * C[2, 0]))
+        b = -0.5 * (C[0, 0] * C[0, 1] + C[1, 0] * C[1, 1] + C[2, 0] * C[2, 1])
+        c = -0.5 * (C[0, 0] * C[0, 2] + C[1, 0] * C[1, 2] + C[2, 0] * C[2, 2])
+        d = 0.5 * (1.0 - (C[0, 1] * C[0, 1] + C[1, 1] * C[1, 1] + C[2, 1] * C[2, 1]))
+        e = -0.5 * (C[0, 1] * C[0, 2] + C[1, 1] * C[1, 2] + C[2, 1] * C[2, 2])
+        f = 0.5 * (1.0 - (C[0, 2] * C[0, 2] + C[1, 2] * C[1, 2] + C[2, 2] * C[2, 2]))
         for i in range(3):
-            for j in range(3):
-                gram = out[0, i] * out[0, j] + out[1, i] * out[1, j] + out[2, i] * out[2, j]
-                defect = (1.0 if i == j else 0.0) - gram
-                error = max(error, abs(defect))
-                half[i, j] = 0.5 * defect + (1.0 if i == j else 0.0)
-        out = product(out, half)
-        if error < 1e-9:
+            p, q, r = C[i, 0], C[i, 1], C[i, 2]
+            C[i, 0] = p + (p * a + q * b + r * c)
+            C[i, 1] = q + (p * b + q * d + r * e)
+            C[i, 2] = r + (p * c + q * e + r * f)
+        if max(abs(a), abs(b), abs(c), abs(d), abs(e), abs(f)) < 0.5e-9:
             break
+
+
+@kernel
+def orthonormalise(C: np.ndarray) -> np.ndarray:
+    """The rotation nearest to C (3, 3), see `make_orthonormal`."""
+    out = C.copy()
+    make_orthonormal(out)
     return out

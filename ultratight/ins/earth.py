@@ -12,7 +12,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from signals.compiled import kernel
+from signals.compiled import borrowing, kernel
 from signals.constants import GM_EARTH, OMEGA_EARTH, WGS84_A, WGS84_E2, WGS84_F, WGS84_J2
 
 
@@ -61,23 +61,26 @@ def rotation_e_from_n(lat: ArrayLike, lon: ArrayLike) -> np.ndarray:
 # --- kernels --------------------------------------------------------------------------------
 
 
-@kernel
-def gravity(r: np.ndarray) -> np.ndarray:
-    """Gravity (3,) [m/s2] at r (3,) in ECEF axes: J2 gravitation + centrifugal (Groves 2.142).
+@borrowing
+def gravity_at(x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Gravity (3) [m/s2] at x, y, z in ECEF axes: J2 gravitation + centrifugal (Groves 2.142).
 
     Beside the WGS-84 normal field it lacks the terms from J4 on: at most 5 |J4| GM/a^2, that is
     1.2e-4 m/s2.
     """
-    x, y, z = r[0], r[1], r[2]
     r2 = x * x + y * y + z * z
     k = -GM_EARTH / (r2 * math.sqrt(r2))
     j = 1.5 * WGS84_J2 * WGS84_A * WGS84_A / r2
     s2 = 5.0 * z * z / r2
     horizontal = k * (1.0 + j * (1.0 - s2)) + OMEGA_EARTH * OMEGA_EARTH
+    return horizontal * x, horizontal * y, k * (1.0 + j * (3.0 - s2)) * z
+
+
+@kernel
+def gravity(r: np.ndarray) -> np.ndarray:
+    """`gravity_at` r (3,) -> (3,)."""
     g = np.empty(3)
-    g[0] = horizontal * x
-    g[1] = horizontal * y
-    g[2] = k * (1.0 + j * (3.0 - s2)) * z
+    g[0], g[1], g[2] = gravity_at(r[0], r[1], r[2])
     return g
 
 
@@ -86,7 +89,7 @@ def gravity_each(r: np.ndarray) -> np.ndarray:
     """`gravity` at each row of r (n, 3) -> (n, 3)."""
     g = np.empty_like(r)
     for i in range(r.shape[0]):
-        g[i] = gravity(r[i])
+        g[i, 0], g[i, 1], g[i, 2] = gravity_at(r[i, 0], r[i, 1], r[i, 2])
     return g
 
 

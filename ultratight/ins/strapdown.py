@@ -9,14 +9,14 @@ increment, exact for rates and forces that are linear over two intervals.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from signals.compiled import kernel
+from signals.compiled import borrowing, kernel
 from signals.constants import OMEGA_EARTH
-from ultratight.ins.attitude import orthonormalise, product, rotation_from_vector
-from ultratight.ins.earth import gravity
+from ultratight.ins.attitude import orthonormalise, rotation_from_vector, turn_right
+from ultratight.ins.earth import gravity_at
 from ultratight.ins.error_state import Layout
 from ultratight.ins.imu import Increments
 
@@ -132,13 +132,12 @@ def _run(
         if k > 0:
             ratio = dt[k] / dt[k - 1]
             alpha_prev, nu_prev = ratio * alpha[k - 1], ratio * nu[k - 1]
-        r[k + 1], v[k + 1], C[k + 1] = strapdown_step(
-            r[k], v[k], C[k], alpha[k], nu[k], alpha_prev, nu_prev, dt[k]
-        )
+        r[k + 1], v[k + 1], C[k + 1] = r[k], v[k], C[k]
+        strapdown_step(r[k + 1], v[k + 1], C[k + 1], alpha[k], nu[k], alpha_prev, nu_prev, dt[k])
 
 
-@kernel
-def _cross(a: np.ndarray, b: np.ndarray) -> tuple[float, float, float]:
+@borrowing
+def _cross(a: Any, b: Any) -> tuple[float, float, float]:
     return (
         a[1] * b[2] - a[2] * b[1],
         a[2] * b[0] - a[0] * b[2],
@@ -146,10 +145,10 @@ def _cross(a: np.ndarray, b: np.ndarray) -> tuple[float, float, float]:
     )
 
 
-@kernel
+@borrowing
 def _rotated_force(
     alpha: np.ndarray, nu: np.ndarray, alpha_prev: np.ndarray, nu_prev: np.ndarray
-) -> np.ndarray:
+) -> tuple[float, float, float]:
     """Integral of the specific force over the interval, in body axes at its start (Savage II).
 
     nu + a alpha x nu + b alpha x (alpha x nu) + (alpha_prev x nu + nu_prev x alpha) / 12, with
@@ -163,18 +162,18 @@ def _rotated_force(
         x = math.sqrt(x2)
         a = (1.0 - math.cos(x)) / x2
         b = (1.0 - math.sin(x) / x) / x2
-    w = np.empty(3)
-    w[0], w[1], w[2] = _cross(alpha, nu)
-    q0, q1, q2 = _cross(alpha, w)
-    s0, s1, s2 = _cross(alpha_prev, nu)
-    p0, p1, p2 = _cross(nu_prev, alpha)
-    w[0] = nu[0] + a * w[0] + b * q0 + (s0 + p0) / 12.0
-    w[1] = nu[1] + a * w[1] + b * q1 + (s1 + p1) / 12.0
-    w[2] = nu[2] + a * w[2] + b * q2 + (s2 + p2) / 12.0
-    return w
+    w = _cross(alpha, nu)
+    q = _cross(alpha, w)
+    s = _cross(alpha_prev, nu)
+    p = _cross(nu_prev, alpha)
+    return (
+        nu[0] + a * w[0] + b * q[0] + (s[0] + p[0]) / 12.0,
+        nu[1] + a * w[1] + b * q[1] + (s[1] + p[1]) / 12.0,
+        nu[2] + a * w[2] + b * q[2] + (s[2] + p[2]) / 12.0,
+    )
 
 
-@kernel
+@borrowing
 def strapdown_step(
     r: np.ndarray,
     v: np.ndarray,
@@ -184,24 +183,13 @@ def strapdown_step(
     alpha_prev: np.ndarray,
     nu_prev: np.ndarray,
     dt: float,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """One interval: r, v (3,), C (3, 3) at its end, from increments free of biases.
+) -> None:
+    """One interval: r, v (3,), C (3, 3) move to its end, by increments free of biases.
 
     The previous increments (of an interval of the same length) serve coning and sculling; they
     are not needed to be there: give this interval's own to leave both out.  Gravity and Coriolis
     are taken at mid-point, position by the trapezium of velocity, whose error telescopes.
     """
-    # attitude: C(t + dt) = exp(-[W dt x]) C(t) exp([phi x])
-    phi = np.empty(3)
-    c0, c1, c2 = _cross(alpha_prev, alpha)
-    phi[0], phi[1], phi[2] = alpha[0] + c0 / 12.0, alpha[1] + c1 / 12.0, alpha[2] + c2 / 12.0
-    D = product(C, rotation_from_vector(phi))
-    s, c = math.sin(OMEGA_EARTH * dt), math.cos(OMEGA_EARTH * dt)
-    for j in range(3):
-        x, y = D[0, j], D[1, j]
-        D[0, j] = c * x + s * y
-        D[1, j] = c * y - s * x
-
     # velocity: the specific force turned by half of the Earth's rotation
     f = _rotated_force(alpha, nu, alpha_prev, nu_prev)
     x = C[0, 0] * f[0] + C[0, 1] * f[1] + C[0, 2] * f[2]
@@ -209,18 +197,29 @@ def strapdown_step(
     z = C[2, 0] * f[0] + C[2, 1] * f[1] + C[2, 2] * f[2]
     half = 0.5 * OMEGA_EARTH * dt
     x, y = x + half * y, y - half * x
-    r1, v1, mid = np.empty(3), np.empty(3), np.empty(3)
-    mid[0] = r[0] + dt * (0.5 * v[0] + 0.125 * x)
-    mid[1] = r[1] + dt * (0.5 * v[1] + 0.125 * y)
-    mid[2] = r[2] + dt * (0.5 * v[2] + 0.125 * z)
-    g = gravity(mid)
+    g = gravity_at(
+        r[0] + dt * (0.5 * v[0] + 0.125 * x),
+        r[1] + dt * (0.5 * v[1] + 0.125 * y),
+        r[2] + dt * (0.5 * v[2] + 0.125 * z),
+    )
     w2 = 2.0 * OMEGA_EARTH
     # mid-point velocity, for Coriolis: half of the change without the Coriolis of that half
     vx = v[0] + 0.5 * (x + dt * (g[0] + w2 * v[1]))
     vy = v[1] + 0.5 * (y + dt * (g[1] - w2 * v[0]))
-    v1[0] = v[0] + x + dt * (g[0] + w2 * vy)
-    v1[1] = v[1] + y + dt * (g[1] - w2 * vx)
-    v1[2] = v[2] + z + dt * g[2]
+    after = (
+        v[0] + x + dt * (g[0] + w2 * vy),
+        v[1] + y + dt * (g[1] - w2 * vx),
+        v[2] + z + dt * g[2],
+    )
     for i in range(3):
-        r1[i] = r[i] + 0.5 * dt * (v[i] + v1[i])
-    return r1, v1, D
+        r[i] += 0.5 * dt * (v[i] + after[i])
+        v[i] = after[i]
+
+    # attitude: C(t + dt) = exp(-[W dt x]) C(t) exp([phi x])
+    c = _cross(alpha_prev, alpha)
+    turn_right(C, alpha[0] + c[0] / 12.0, alpha[1] + c[1] / 12.0, alpha[2] + c[2] / 12.0)
+    sine, cosine = math.sin(OMEGA_EARTH * dt), math.cos(OMEGA_EARTH * dt)
+    for j in range(3):
+        p, q = C[0, j], C[1, j]
+        C[0, j] = cosine * p + sine * q
+        C[1, j] = cosine * q - sine * p

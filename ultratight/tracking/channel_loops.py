@@ -22,7 +22,7 @@ from signals.compiled import kernel
 from signals.constants import CA_CHIP_RATE_HZ, GPS_L1_HZ
 from ultratight.tracking.discriminators import costas_phase, dot_product_delay, frequency
 from ultratight.tracking.loop_filters import filter_step
-from ultratight.tracking.steering import WAVELENGTH_M, Steering, advance_ins, predict_now
+from ultratight.tracking.steering import WAVELENGTH_M, advance_ins, predict, views
 
 PULL_IN, ASSISTED, LOCKED = 0, 1, 2
 CODE_S = 0.001
@@ -148,22 +148,22 @@ def feed_forward(
     t_s: np.ndarray,
     alpha: np.ndarray,
     nu: np.ndarray,
-    steering: Steering,
-    rows: np.ndarray,
-    start_tow_s: float,
-    lever_arm_b: np.ndarray,
+    steering: np.ndarray,
+    sky: np.ndarray,
     loops: Loops,
 ) -> None:
     """Take the increments (m, 3) between t_s (m + 1,) into the INS; renew what is fed forward.
 
-    The Doppler's rate is its change over the last interval.
+    ``steering`` is the buffer of a `Steering`, ``sky`` its arcs.  The Doppler's rate is its change
+    over the last interval.
     """
+    s = views(steering, sky.shape[2])
     for j in range(t_s.size - 1):
         dt = t_s[j + 1] - t_s[j]
-        advance_ins(steering, alpha[j], nu[j], dt)
-        predict_now(steering, rows, start_tow_s + t_s[j + 1], lever_arm_b)
+        advance_ins(s, alpha[j], nu[j], dt)
+        predict(s, sky, t_s[j + 1])
         for i in range(loops.phase.size):
-            doppler = -steering.rho_rate[i] / WAVELENGTH_M
+            doppler = -s.rho_rate[i] / WAVELENGTH_M
             loops.feed[i, 1] = (doppler - loops.feed[i, 0]) / dt
             loops.feed[i, 0] = doppler
     loops.feed_t_s[0] = t_s[t_s.size - 1]

@@ -43,7 +43,7 @@ from ultratight.tracking.discriminators import delay_slope
 from ultratight.tracking.knows import Knows
 from ultratight.tracking.loop_filters import frequency_loop, phase_loop
 from ultratight.tracking.positioning import least_squares
-from ultratight.tracking.steering import WAVELENGTH_M, antenna, new_steering, predict_now
+from ultratight.tracking.steering import WAVELENGTH_M, antenna, start
 
 EPOCH_S = 0.001
 BIT_S = 0.02
@@ -103,7 +103,7 @@ class Scalar:
         self.knows, self.settings, self.aided = knows, settings, aided
         n = self.n_channel = knows.prn.size
         self.design = design(settings, knows.prn, spacing_chips)
-        self.steering = new_steering(n, piece_s)
+        self.steering, self.sky = start(knows, piece_s)
         self.loops: Loops = new_loops(knows.cn0_dbhz)
         self.t_s = 0.0
         self.events: list[tuple[float, int, str, str]] = []
@@ -114,11 +114,6 @@ class Scalar:
 
     def _start(self) -> None:
         k, s, loops = self.knows, self.steering, self.loops
-        s.r_eb_e[:], s.v_eb_e[:], s.C_b_e[:] = k.r_eb_e, k.v_eb_e, k.C_b_e
-        s.clock[:] = k.clock_m, k.clock_rate_mps
-        s.last_nu[:] = k.first_nu
-        s.last_alpha[:] = k.first_alpha
-        predict_now(s, k.elements, k.start_tow_s, k.lever_arm_b_m)
         loops.code_chips[:] = self._origin - CA_CHIP_RATE_HZ * s.rho / C_MPS
         loops.carrier_cycles[:] = -s.rho / WAVELENGTH_M
         doppler = -s.rho_rate / WAVELENGTH_M
@@ -126,7 +121,7 @@ class Scalar:
             loops.feed[:, 0] = doppler
         else:
             loops.loop_hz[:] = loops.carrier_memory[:, 1] = loops.last_good_hz[:] = doppler
-        r, v = antenna(s, k.lever_arm_b_m)
+        r, v = antenna(s.buffer, self.n_channel)
         self._solution = np.array([*r, k.clock_m, *v, k.clock_rate_mps])
 
     def steer(self, t_end_s: float, imu: Increments) -> Nco:
@@ -135,11 +130,15 @@ class Scalar:
         out = np.empty((5, 1, self.n_channel))
         advance(self.t_s, t_end_s, self.loops, out)
         if self.aided and imu.alpha_ib_b.shape[0]:
-            k = self.knows
+            self.sky.reach(t_end_s)
             feed_forward(
-                imu.t_s, imu.alpha_ib_b, imu.nu_ib_b, self.steering, k.elements, k.start_tow_s,
-                k.lever_arm_b_m, self.loops,
-            )  # fmt: skip
+                imu.t_s,
+                imu.alpha_ib_b,
+                imu.nu_ib_b,
+                self.steering.buffer,
+                self.sky.arcs,
+                self.loops,
+            )
         self.t_s = t_end_s
         return Nco(t_s, out[0], out[1], out[2], out[3], out[4], self.dump_chips, self.valid)
 
@@ -234,7 +233,7 @@ class Scalar:
         r, v, clock_m, clock_rate = self.pvt()
         if self.aided:
             s = self.steering
-            r_antenna, v_antenna = antenna(s, self.knows.lever_arm_b_m)
+            r_antenna, v_antenna = antenna(s.buffer, self.n_channel)
             r += s.r_eb_e - r_antenna
             v += s.v_eb_e - v_antenna
         loops = self.loops

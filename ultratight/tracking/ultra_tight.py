@@ -8,7 +8,6 @@ import numpy as np
 
 from signals.codes import GPS_L1CA
 from signals.nco import Nco, Taps
-from signals.propagation import code_phase_origin
 from ultratight.filters.gaussian import Filter, Gaussian, Measurement, Prediction, Update
 from ultratight.ins.error_state import Layout, ProcessNoise, transition
 from ultratight.ins.imu import Increments
@@ -16,14 +15,7 @@ from ultratight.tracking.half_bits import PROMPT, Bits, HalfBits
 from ultratight.tracking.knows import Knows
 from ultratight.tracking.lock import LockMonitor
 from ultratight.tracking.measurements import LineOfSight, coherent, differential
-from ultratight.tracking.steering import (
-    WAVELENGTH_M,
-    antenna,
-    feed_back,
-    new_steering,
-    predict_now,
-    steer_epoch,
-)
+from ultratight.tracking.steering import WAVELENGTH_M, antenna, feed_back, start, steer_epoch
 
 HALF_BIT_CHIPS = 10_230
 HALF_BIT_S = 0.01
@@ -75,7 +67,8 @@ class UltraTight:
         self.layout = Layout.build()
         self.noise: ProcessNoise = knows.process_noise
         self.cov = knows.initial_covariance()
-        self.steering = new_steering(n, piece_s, settings.epoch_s)
+        self.steering, self.sky = start(knows, piece_s, settings.epoch_s)
+        self.u_before = self.steering.u.copy()
         self.half_bits = HalfBits(n, 3)
         self.lag1 = np.array([GPS_L1CA.autocorrelation(int(p))[1] for p in knows.prn])
         self.amplitude2 = 2.0 * 10.0 ** (knows.cn0_dbhz / 10.0) * HALF_BIT_S
@@ -91,28 +84,14 @@ class UltraTight:
         self.bits: Bits | None = None
         self.dump_chips = np.full(n, HALF_BIT_CHIPS, dtype=np.int64)
         self.valid = np.ones(n, dtype=np.bool_)
-        self._start()
-
-    def _start(self) -> None:
-        k, s = self.knows, self.steering
-        s.r_eb_e[:], s.v_eb_e[:], s.C_b_e[:] = k.r_eb_e, k.v_eb_e, k.C_b_e
-        s.clock[:] = k.clock_m, k.clock_rate_mps
-        s.last_nu[:] = k.first_nu
-        s.last_alpha[:] = k.first_alpha
-        predict_now(s, k.elements, k.start_tow_s, k.lever_arm_b_m)
-        self.u_before = s.u.copy()
 
     def steer(self, t_end_s: float, imu: Increments) -> Nco:
         """Command one piece per increment of the epoch; each uses only earlier increments."""
-        k, m, n = self.knows, imu.t_s.size - 1, self.n_channel
-        code, rate, phase, freq, ramp = (np.empty((m, n)) for _ in range(5))
-        steer_epoch(
-            self.steering, imu.t_s, imu.alpha_ib_b, imu.nu_ib_b, k.elements, k.start_tow_s,
-            code_phase_origin(k.start_tow_s), k.lever_arm_b_m,
-            code, rate, phase, freq, ramp,
-        )  # fmt: skip
+        out = np.empty((5, imu.t_s.size - 1, self.n_channel))
+        self.sky.reach(t_end_s)
+        steer_epoch(self.steering.buffer, self.sky.arcs, imu.t_s, imu.alpha_ib_b, imu.nu_ib_b, out)
         self.t_s = t_end_s
-        return Nco(imu.t_s, code, rate, phase, freq, ramp, self.dump_chips, self.valid)
+        return Nco(imu.t_s, out[0], out[1], out[2], out[3], out[4], self.dump_chips, self.valid)
 
     def step(self, taps: Taps) -> None:
         """Weigh what came against what was expected; feed the correction back."""
@@ -190,14 +169,10 @@ class UltraTight:
         """Velocity of the antenna with respect to the IMU (3,), ECEF."""
         if not self.knows.lever_arm_b_m.any():
             return np.zeros(3)
-        return antenna(self.steering, self.knows.lever_arm_b_m)[1] - self.steering.v_eb_e
+        return antenna(self.steering.buffer, self.n_channel)[1] - self.steering.v_eb_e
 
     def _feed_back(self, x: np.ndarray, phase_m: np.ndarray) -> None:
-        k = self.knows
-        feed_back(
-            self.steering, x, phase_m, k.elements, k.start_tow_s + self.t_s, self.t_s,
-            k.lever_arm_b_m,
-        )  # fmt: skip
+        feed_back(self.steering.buffer, self.sky.arcs, x, phase_m, self.t_s)
 
     def _choose_model(self, u: Update, measurement: Measurement) -> None:
         """Start in D, hand over to C; on loss fall back to D for a while, if allowed."""
