@@ -5,9 +5,9 @@ Over an integration of length T the tap at offset d (chips) is
     X_d = sqrt(2 / T) int sqrt(C/N0) D(t) R(e(t) + d) exp(j 2 pi phi(t)) dt + n_d         (1)
 
 with e = true - NCO code phase, phi = true - NCO carrier phase, D the data symbol and R the code's
-*own* periodic autocorrelation (linear between integer lags; not the ideal triangle).  For constant
-errors (1) is sqrt(2 C/N0 T) D R(e + d) sinc(f T) exp(j 2 pi phi_mid): Kaplan & Hegarty, 3rd ed.,
-ch. 8.  The noise has unit variance in each of I and Q and covariance R(d_i - d_k) between taps.
+*own* periodic autocorrelation (`correlations`; not the ideal triangle).  For constant errors (1)
+is sqrt(2 C/N0 T) D R(e + d) sinc(f T) exp(j 2 pi phi_mid): Kaplan & Hegarty, 3rd ed., ch. 8.
+The noise has unit variance in each of I and Q and covariance R(d_i - d_k) between taps.
 
 The integral is exact but for quadrature, below 2e-7 of the amplitude (`error_integral`).  What
 (1) leaves out: products of chips are replaced by their mean over a code period, i.e. the
@@ -25,6 +25,7 @@ import numpy as np
 
 from signals.compiled import borrowing, kernel
 from signals.constants import CA_CHIP_RATE_HZ
+from signals.correlations import Correlations, correlations_of, tap_factor
 from signals.error_integral import (
     AMPLITUDE,
     SPREAD,
@@ -38,6 +39,7 @@ from signals.front_end import GUARD_SAMPLES
 from signals.nco import Nco, Taps
 from signals.noise import normals, stream_key
 from signals.propagation import SignalState
+from signals.replica import Replicas
 
 SELF_SEPARATION_DB_PER_HZ = 10.0 * math.log10(2.0 / (3.0 * CA_CHIP_RATE_HZ))
 """Spectral separation of BPSK(1) from itself, 2 / (3 Rc): -61.86 dB/Hz (Kaplan & Hegarty, ch. 9)"""
@@ -57,11 +59,13 @@ class ModelCorrelator:
     Parameters
     ----------
     state : truth at the antenna.
-    chips : (n_channel, length) int8 of +-1.
-    prn : (n_channel,) names the channels in the key of their noise.
+    chips : (n_channel, length) int8 of +-1, `replicas`, or `correlations`.
+    prn : (n_channel,) names the channels in the key of their noise: whole numbers below 65536.
     offset_chips : (n_tap,) delay of each replica: negative is early, positive is late.
     seed : of the run; the noise is its stream "correlator-noise".
-    symbol_chips : length of a data symbol in chips.
+    symbol_chips : length of a symbol in chips, of all channels or of each.
+    period_chips : integrations are multiples of it, of all channels or of each; None: of the
+        replica's period.
     multiple_access : the other satellites add white noise, var = 1 + sum_j (C_j/N0) 2 / (3 Rc)
         (`SELF_SEPARATION_DB_PER_HZ`); ``Taps.noise_var`` stays 1, the correlator cannot know.
     sample_rate_hz : bounds fall on samples as in a `SampleCorrelator`; None: continuous time.
@@ -70,19 +74,20 @@ class ModelCorrelator:
     Raises
     ------
     ValueError : shapes that disagree, symbols that do not cover the truth; when called, a command
-        outside the truth, a chip rate that is not positive, integrations that are not whole code
-        periods.
+        outside the truth, a chip rate that is not positive, integrations that are not multiples of
+        the period.
     """
 
     def __init__(
         self,
         state: SignalState,
-        chips: np.ndarray,
+        chips: np.ndarray | Replicas | Correlations,
         prn: np.ndarray,
         offset_chips: np.ndarray,
         seed: int,
         *,
-        symbol_chips: int = 20_460,
+        symbol_chips: int | np.ndarray = 20_460,
+        period_chips: int | np.ndarray | None = None,
         multiple_access: bool = False,
         sample_rate_hz: float | None = None,
         noise: bool = True,
@@ -91,20 +96,22 @@ class ModelCorrelator:
         if self.offset_chips.ndim != 1 or not np.all(np.isfinite(self.offset_chips)):
             raise ValueError(f"offset_chips is {offset_chips}: expected finite (n_tap,)")
         n_channel = state.valid.shape[0]
-        if np.ndim(chips) != 2 or len(chips) != n_channel or np.shape(prn) != (n_channel,):
+        own = correlations_of(chips)
+        if len(own.first) != n_channel or np.shape(prn) != (n_channel,):
             raise ValueError(
-                f"chips {np.shape(chips)} and prn {np.shape(prn)}: expected ({n_channel}, length) "
-                f"and ({n_channel},), a row per channel of the truth"
+                f"chips of {len(own.first)} channels and prn {np.shape(prn)}: expected one for "
+                f"each of the {n_channel} channels of the truth"
             )
+        symbol_chips = np.broadcast_to(np.asarray(symbol_chips, np.int64), (n_channel,)).copy()
         _check_symbols(state, symbol_chips)
-        table = np.array([_correlation_table(row) for row in chips])
-        self._length = int(np.shape(chips)[1])
+        whole = own.period // own.per_chip if period_chips is None else period_chips
+        self._period_chips = np.broadcast_to(np.asarray(whole, np.int64), (n_channel,))
         self._t_s = (float(state.t_s[0]), float(state.t_s[-1]))
-        self._truth = _truth_table(state, multiple_access)
+        self._truth = _truth_table(state, multiple_access, own.kept)
         symbols = np.ascontiguousarray(state.symbols, dtype=np.int8)
-        self._data = (symbols, int(state.first_symbol), int(symbol_chips))
-        self._replicas = (self.offset_chips, table)
-        factor = np.array([_tap_factor(row, self.offset_chips) for row in table])
+        self._data = (symbols, int(state.first_symbol), symbol_chips)
+        self._replicas = (self.offset_chips, *own)
+        factor = np.array([tap_factor(own, i, self.offset_chips) for i in range(n_channel)])
         key = stream_key(seed, "correlator-noise") if noise else np.zeros(0, np.uint32)
         self._noise = (key, np.ascontiguousarray(prn, dtype=np.int64), factor)
         self._sample_s = 0.0 if sample_rate_hz is None else 1.0 / sample_rate_hz
@@ -147,13 +154,14 @@ class ModelCorrelator:
         checked = nco.dump_chips.tobytes() + nco.valid.tobytes()
         if checked != self._checked:
             n_channel = len(self._truth)
-            used = nco.dump_chips[nco.valid] if nco.valid.shape == (n_channel,) else np.zeros(1)
-            if nco.dump_chips.shape != (n_channel,) or np.any(
-                (used < 1) | (used % self._length > 0)
+            fits = nco.valid.shape == nco.dump_chips.shape == (n_channel,)
+            if not fits or np.any(
+                nco.valid & ((nco.dump_chips < 1) | (nco.dump_chips % self._period_chips > 0))
             ):
+                whole = ", ".join(map(str, np.unique(self._period_chips)))
                 raise ValueError(
                     f"nco.dump_chips is {nco.dump_chips}: expected ({n_channel},) with positive "
-                    f"multiples of {self._length} where nco.valid, also ({n_channel},), is set"
+                    f"multiples of {whole} where nco.valid, also ({n_channel},), is set"
                 )
             self._checked = checked
 
@@ -167,15 +175,15 @@ def _what_is_wrong(nco: Nco) -> str:
     return f"nco.chip_rate_hz is {nco.chip_rate_hz[:, nco.valid].min()}: expected > 0"
 
 
-def _check_symbols(state: SignalState, symbol_chips: int) -> None:
+def _check_symbols(state: SignalState, symbol_chips: np.ndarray) -> None:
     """Refuse symbols that do not cover the code phase of every valid piece."""
     if not state.valid.any():
         return
     step = np.diff(state.t_s)
     code = state.code_phase_chips
     end = code[..., 0] + step * (code[..., 1] + step * (code[..., 2] + step * code[..., 3]))
-    first = math.floor(code[..., 0][state.valid].min() / symbol_chips)
-    last = math.floor(end[state.valid].max() / symbol_chips)
+    first = math.floor((code[..., 0] / symbol_chips[:, None])[state.valid].min())
+    last = math.floor((end / symbol_chips[:, None])[state.valid].max())
     last_given = state.first_symbol + state.symbols.shape[1] - 1
     if first < state.first_symbol or last > last_given:
         raise ValueError(
@@ -184,7 +192,7 @@ def _check_symbols(state: SignalState, symbol_chips: int) -> None:
         )
 
 
-def _truth_table(state: SignalState, multiple_access: bool) -> np.ndarray:
+def _truth_table(state: SignalState, multiple_access: bool, kept: np.ndarray) -> np.ndarray:
     """The truth as rows of `error_integral`: (n_channel, n_piece, TRUTH_COLUMNS)."""
     cn0_hz = np.where(state.valid, 10.0 ** (np.asarray(state.cn0_dbhz) / 10.0), 0.0)
     table = np.empty((*state.valid.shape, TRUTH_COLUMNS))
@@ -192,36 +200,12 @@ def _truth_table(state: SignalState, multiple_access: bool) -> np.ndarray:
     table[..., 1] = state.t_s[1:]
     table[..., 2:6] = state.code_phase_chips
     table[..., 6:10] = state.carrier_phase_cycles
-    table[..., AMPLITUDE] = np.sqrt(cn0_hz)
+    table[..., AMPLITUDE] = np.sqrt(cn0_hz * kept[:, None])
     table[..., SPREAD] = 1.0
     if multiple_access:
         others = cn0_hz.sum(axis=0) - cn0_hz
         table[..., SPREAD] = np.sqrt(1.0 + others * 10.0 ** (SELF_SEPARATION_DB_PER_HZ / 10.0))
     return table
-
-
-def _correlation_table(chips: np.ndarray) -> np.ndarray:
-    """Periodic autocorrelation at lags 0 ... length (length + 1,), normalised, exact."""
-    spectrum = np.fft.fft(chips.astype(np.float64))
-    lags = np.rint(np.fft.ifft(np.abs(spectrum) ** 2).real) / chips.size
-    return np.append(lags, lags[0])
-
-
-def _tap_factor(table: np.ndarray, offset_chips: np.ndarray) -> np.ndarray:
-    """Lower-triangular L with L L' = R(d_i - d_k), (n_tap, n_tap).
-
-    Coincident taps have a zero pivot, and so has a third one between two less than a chip apart
-    if R is straight there; the column of such a tap stays zero, it is a sum of those before it.
-    """
-    length = table.size - 1
-    lag = np.mod(offset_chips[:, None] - offset_chips[None, :], length)
-    left = np.interp(lag, np.arange(length + 1), table)
-    factor = np.zeros_like(left)
-    for k in range(offset_chips.size):
-        if left[k, k] > 1e-12:
-            factor[:, k] = left[:, k] / math.sqrt(left[k, k])
-            left = left - np.outer(factor[:, k], factor[:, k])
-    return factor
 
 
 # ---- kernels ---------------------------------------------------------------------------------

@@ -66,8 +66,8 @@ def integrate(
 ) -> None:  # fmt: skip
     """Add int sqrt(C/N0) D R(e + d) exp(j 2 pi phi) dt over [a, b) to sums[i] (n_tap,).
 
-    ``data`` is (symbols, first symbol, chips per symbol), ``replicas`` (offsets, R of each
-    channel at lags 0 ... length).
+    ``data`` is (symbols, first symbol, chips per symbol (n_channel,)), ``replicas`` the offsets
+    and the fields of a `correlations.Correlations`.
     """
     symbols, first_symbol, symbol_chips = data
     p = truth_piece(truth, i, a)
@@ -76,11 +76,11 @@ def integrate(
         stop = min(b, truth[i, p, 1]) if p < last else b
         if truth[i, p, AMPLITUDE] > 0.0:
             at_stop = _cubic(truth, i, p, _CODE, stop)[0]
-            k = math.floor(_cubic(truth, i, p, _CODE, a)[0] / symbol_chips)
+            k = math.floor(_cubic(truth, i, p, _CODE, a)[0] / symbol_chips[i])
             while a < stop:
                 cut = stop
-                if at_stop > (k + 1) * symbol_chips:
-                    at = _time_of(truth, i, p, float((k + 1) * symbol_chips))
+                if at_stop > (k + 1) * symbol_chips[i]:
+                    at = _time_of(truth, i, p, float((k + 1) * symbol_chips[i]))
                     cut = min(max(edge(at, sample_s), a), stop)
                 gain = truth[i, p, AMPLITUDE] * symbols[i, k - first_symbol]
                 _between_symbols(i, a, cut, line, truth, p, gain, replicas, sums)
@@ -137,37 +137,37 @@ def _between_symbols(
 
     Between kinks R(e + d) is straight, so two moments serve all taps: int w and int (e - e_mid) w.
     """
-    offset_chips, table = replicas
-    length = table.shape[1] - 1
+    offset_chips, table, first, period, per_chip, _ = replicas
+    steps, length = float(per_chip[i]), period[i]
     while a < b:
         stop = b
         e, phi = _errors(truth, i, p, line, 0.5 * (a + b))
-        part = _to_kink(_value(e, 0.5 * (a - b)), _value(e, 0.5 * (b - a)), offset_chips)
+        part = _to_kink(_value(e, 0.5 * (a - b)), _value(e, 0.5 * (b - a)), offset_chips, steps)
         if part < 1.0:
             stop = a + part * (b - a)
             stop = stop if stop > a else b
             e, phi = _errors(truth, i, p, line, 0.5 * (a + stop))
         zero, one = _moments(0.5 * (stop - a), e, phi)
         for k in range(offset_chips.size):
-            x = e[0] + offset_chips[k]
+            x = steps * (e[0] + offset_chips[k])
             lag = math.floor(x)
-            j = int(lag - length * math.floor(lag / length))
-            slope = table[i, j + 1] - table[i, j]
-            sums[i, k] += gain * ((table[i, j] + slope * (x - lag)) * zero + slope * one)
+            j = first[i] + int(lag - length * math.floor(lag / length))
+            slope = table[j + 1] - table[j]
+            sums[i, k] += gain * ((table[j] + slope * (x - lag)) * zero + slope * steps * one)
         a = stop
 
 
 @borrowing
-def _to_kink(first: float, last: float, offset_chips: np.ndarray) -> float:
-    """Part of the way from code error ``first`` to ``last`` to a tap's first integer lag, or 1.
+def _to_kink(first: float, last: float, offset_chips: np.ndarray, steps: float) -> float:
+    """Part of the way from code error ``first`` to ``last`` to a tap's first kink, or 1.
 
-    The way is taken as straight: within 5 ms it bends by less than 1e-5 chip even at 100 g, and
-    what is left after a cut is cut again.
+    Kinks of R are ``steps`` to a chip.  The way is taken as straight: within 5 ms it bends by less
+    than 1e-5 chip even at 100 g, and what is left after a cut is cut again.
     """
     part = 1.0
-    change = last - first
+    change = steps * (last - first)
     for k in range(offset_chips.size):
-        lag = first + offset_chips[k]
+        lag = steps * (first + offset_chips[k])
         if change > 0.0:
             way = math.floor(lag + _KINK_CHIPS) + 1.0 - lag
         else:

@@ -293,7 +293,7 @@ def test_multiple_access_noise(truth: Truth, command: Command) -> None:
 def test_refusals(truth: Truth, command: Command) -> None:
     state = truth(duration_s=0.1)
     chips = GPS_L1CA.chips(7)[None]
-    with pytest.raises(ValueError, match=r"expected \(1, length\) and"):
+    with pytest.raises(ValueError, match=r"of 1 channels and prn \(2,\): expected one for"):
         ModelCorrelator(state, chips, np.array([7, 8]), OFFSETS, 1)
     with pytest.raises(ValueError, match="offset_chips"):
         ModelCorrelator(state, chips, np.array([7]), np.array([np.nan]), 1)
