@@ -8,21 +8,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from signals.arcs import MIDDLE, arc_at, arc_index, arcs
+from signals.code_start import Nominal, code_phase_origin, nominal
+from signals.codes import GPS_L1CA
 from signals.compiled import borrowing, kernel
-from signals.constants import (
-    C_MPS,
-    CA_CHIP_RATE_HZ,
-    GPS_L1_HZ,
-    OMEGA_EARTH,
-    WGS84_A,
-    WGS84_E2,
-    WGS84_F,
-)
+from signals.constants import C_MPS, OMEGA_EARTH, WGS84_A, WGS84_E2, WGS84_F
 from signals.satellites import N_ELEMENT, orbit
 
-CHIPS_PER_SYMBOL = 20_460
-"""C/A chips in one 20 ms data bit (IS-GPS-200 3.3.2.2)"""
-SYMBOL_HZ = 50.0
 MAX_PIECE_S = 5e-3
 """Longest piece of a `SignalState`: the cubic then follows 10 000 m/s^4 to 0.02 um"""
 
@@ -33,9 +24,10 @@ class SignalState(NamedTuple):
     Inside piece p, with dt = t - t_s[p], a phase is c0 + c1 dt + c2 dt^2 + c3 dt^3.
 
         code_phase_chips     = phi0 + f_chip (t - rho / c)      phi0: `code_phase_origin`
-        carrier_phase_cycles = -rho f_L1 / c
+        carrier_phase_cycles = -rho f / c
 
-    The code phase is absolute: it is a multiple of 20460 chips at each data-bit edge.
+    with f and f_chip those of the channel's signal.  The code phase is absolute: it is a multiple
+    of the symbol's chips (L1 C/A: 20460) at each symbol's edge.
     """
 
     t_s: np.ndarray  # (n_piece + 1,) uniform nodes, receiver time since the start [s]
@@ -44,28 +36,7 @@ class SignalState(NamedTuple):
     cn0_dbhz: np.ndarray  # (n_channel, n_piece)
     valid: np.ndarray  # (n_channel, n_piece) bool
     symbols: np.ndarray  # (n_channel, n_symbol) int8 of +-1
-    first_symbol: int  # code phase x carries symbols[:, floor(x / 20460) - first_symbol]
-
-
-def code_phase_origin(start_tow_s: float) -> float:
-    """Code phase [chips] at the run's start, counted from the data bit under way in GPS time."""
-    # in data bits first: 0.02 s is not a binary number, 50 / s is
-    bits = start_tow_s * SYMBOL_HZ
-    return (bits - math.floor(bits)) * CHIPS_PER_SYMBOL
-
-
-def symbol_span(
-    start_tow_s: float, t_s: np.ndarray, rho_max_m: float = 3.2e7, rho_min_m: float = 1.5e7
-) -> tuple[int, int]:
-    """First symbol and number of symbols that any channel can receive during ``t_s``.
-
-    Pseudoranges lie in [rho_min_m, rho_max_m], receiver clock included.
-    """
-    origin = code_phase_origin(start_tow_s)
-    early = origin + CA_CHIP_RATE_HZ * (float(t_s[0]) - rho_max_m / C_MPS)
-    late = origin + CA_CHIP_RATE_HZ * (float(t_s[-1]) - rho_min_m / C_MPS)
-    first = math.floor(early / CHIPS_PER_SYMBOL)
-    return first, math.floor(late / CHIPS_PER_SYMBOL) - first + 1
+    first_symbol: int  # code phase x carries symbols[:, floor(x / symbol_chips) - first_symbol]
 
 
 def signal_state(
@@ -80,6 +51,7 @@ def signal_state(
     symbols: np.ndarray,
     first_symbol: int,
     valid: np.ndarray | None = None,
+    of: Nominal | None = None,
 ) -> SignalState:
     """Turn motion and clock at the nodes into the phases at the antenna (Hermite cubics).
 
@@ -103,6 +75,8 @@ def signal_state(
         Number of symbols[:, 0].
     valid : (n_channel,), (n_channel, n_piece) or (n_channel, n_node) of bool, optional
         Channels that are received (elevation mask, blockage); a piece needs both its nodes.
+    of : Nominal, optional
+        Carrier, chip rate and symbol length of each channel; L1 C/A where left out.
 
     Raises
     ------
@@ -137,9 +111,14 @@ def signal_state(
     code = np.empty((n_channel, n_node - 1, 4))
     carrier = np.empty_like(code)
     sky = arcs(rows, start_tow_s + t_s[0], start_tow_s + t_s[-1])
-    _pieces(sky, start_tow_s, code_phase_origin(start_tow_s), t_s, *motion, code, carrier)
+    of = nominal([GPS_L1CA] * n_channel) if of is None else of
+    if len(of.carrier_hz) != n_channel:
+        raise ValueError(f"of has {len(of.carrier_hz)} channels, expected {n_channel}")
+    origin = code_phase_origin(start_tow_s, of)
+    rates = (origin, of.chip_rate_hz, of.carrier_hz)
+    _pieces(sky, start_tow_s, *rates, t_s, *motion, code, carrier)
     signs = np.ascontiguousarray(symbols, dtype=np.int8)
-    _check_symbols(signs, first_symbol, code[..., 0], on)
+    _check_symbols(signs, first_symbol, code[..., 0], on, of)
     return SignalState(t_s, code, carrier, cn0, on, signs, int(first_symbol))
 
 
@@ -201,7 +180,9 @@ def _per_piece(name: str, values: np.ndarray, n_channel: int, n_node: int) -> np
     return values
 
 
-def _check_symbols(symbols: np.ndarray, first: int, code: np.ndarray, on: np.ndarray) -> None:
+def _check_symbols(
+    symbols: np.ndarray, first: int, code: np.ndarray, on: np.ndarray, of: Nominal
+) -> None:
     """Refuse symbols that are not signs or do not reach over the valid pieces."""
     if symbols.ndim != 2 or len(symbols) != len(code):
         raise ValueError(f"symbols has shape {symbols.shape}, expected ({len(code)}, n_symbol)")
@@ -209,9 +190,10 @@ def _check_symbols(symbols: np.ndarray, first: int, code: np.ndarray, on: np.nda
         raise ValueError("symbols contains a value other than +1 and -1")
     if not on.any():
         return
-    low = math.floor(code[on].min() / CHIPS_PER_SYMBOL)
+    length = of.symbol_chips[:, None]
+    low = math.floor((code / length)[on].min())
     # the last piece ends at most one piece's chips later than its start
-    high = math.floor((code[on].max() + CA_CHIP_RATE_HZ * MAX_PIECE_S) / CHIPS_PER_SYMBOL)
+    high = math.floor(((code + of.chip_rate_hz[:, None] * MAX_PIECE_S) / length)[on].max())
     if low < first or high >= first + symbols.shape[1]:
         raise ValueError(
             f"symbols cover {first} to {first + symbols.shape[1] - 1}, "
@@ -352,7 +334,9 @@ def predict_channels(
 def _pieces(
     arcs: np.ndarray,
     start_tow_s: float,
-    origin: float,
+    origin: np.ndarray,
+    chip_rate_hz: np.ndarray,
+    carrier_hz: np.ndarray,
     t_s: np.ndarray,
     r: np.ndarray,
     v: np.ndarray,
@@ -362,12 +346,12 @@ def _pieces(
     carrier: np.ndarray,
 ) -> None:
     """Hermite cubics of every channel into code and carrier (n_channel, n_piece, 4)."""
-    chips_per_m = CA_CHIP_RATE_HZ / C_MPS
-    cycles_per_m = GPS_L1_HZ / C_MPS
     n_piece = len(t_s) - 1
     h = (t_s[n_piece] - t_s[0]) / n_piece
     for i in range(arcs.shape[2]):
         y0 = m0 = 0.0
+        chips_per_m = chip_rate_hz[i] / C_MPS
+        cycles_per_m = carrier_hz[i] / C_MPS
         for k in range(n_piece + 1):
             tow_s = start_tow_s + t_s[k]
             y1, m1, _, _, _ = pseudorange_by_arc(
@@ -377,8 +361,8 @@ def _pieces(
                 mean = (y1 - y0) / h
                 a2 = (3.0 * mean - 2.0 * m0 - m1) / h
                 a3 = (m0 + m1 - 2.0 * mean) / (h * h)
-                code[i, k - 1, 0] = origin + CA_CHIP_RATE_HZ * t_s[k - 1] - chips_per_m * y0
-                code[i, k - 1, 1] = CA_CHIP_RATE_HZ - chips_per_m * m0
+                code[i, k - 1, 0] = origin[i] + chip_rate_hz[i] * t_s[k - 1] - chips_per_m * y0
+                code[i, k - 1, 1] = chip_rate_hz[i] - chips_per_m * m0
                 code[i, k - 1, 2] = -chips_per_m * a2
                 code[i, k - 1, 3] = -chips_per_m * a3
                 carrier[i, k - 1, 0] = -cycles_per_m * y0

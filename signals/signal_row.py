@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import NamedTuple
 
 import numpy as np
 
-from signals.constants import C_MPS
 from signals.modulation import Modulation
 
 
@@ -120,28 +118,6 @@ class Signal:
     def _check(self, prn: int) -> None:
         if prn not in self.prns:
             raise ValueError(f"prn {prn}: {self.name} has codes for PRN {_spans(self.prns)}")
-
-
-class Nominal(NamedTuple):
-    """What the propagation of a channel needs to know of its signal: (n_channel,) each."""
-
-    carrier_hz: np.ndarray
-    chip_rate_hz: np.ndarray
-    symbol_chips: np.ndarray  # int64
-
-    @property
-    def wavelength_m(self) -> np.ndarray:
-        """Of the carrier [m]."""
-        return C_MPS / self.carrier_hz
-
-
-def nominal(signals: Sequence[Signal]) -> Nominal:
-    """Facts of the signals of all channels as arrays."""
-    return Nominal(
-        np.array([s.carrier_hz for s in signals], dtype=np.float64),
-        np.array([s.chip_rate_hz for s in signals], dtype=np.float64),
-        np.array([s.symbol_chips for s in signals], dtype=np.int64),
-    )
 
 
 def _spans(numbers: Sequence[int]) -> str:

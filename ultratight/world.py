@@ -14,6 +14,7 @@ import numpy as np
 
 from signals import clock, satellites
 from signals.arcs import arcs
+from signals.code_start import symbol_span
 from signals.codes import GPS_L1CA
 from signals.constants import C_MPS
 from signals.correlator import SampleCorrelator
@@ -27,7 +28,6 @@ from signals.propagation import (
     elevation_azimuth,
     predict_channels,
     signal_state,
-    symbol_span,
 )
 from signals.rinex import read_navigation
 from ultratight.data_sheets import imu_errors, oscillator, process_noise

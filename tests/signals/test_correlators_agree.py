@@ -14,13 +14,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from signals.code_start import symbol_span
 from signals.codes import GPS_L1CA
 from signals.constants import C_MPS, CA_CHIP_RATE_HZ, GPS_L1_HZ, WGS84_A
 from signals.correlator import SampleCorrelator
 from signals.correlator_model import ModelCorrelator
 from signals.front_end import SyntheticIf
 from signals.nco import Correlator, Nco
-from signals.propagation import SignalState, elevation_azimuth, signal_state, symbol_span
+from signals.propagation import SignalState, elevation_azimuth, signal_state
 from signals.satellites import embedded
 
 OFFSETS = np.array([-0.25, 0.0, 0.25])

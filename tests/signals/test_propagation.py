@@ -5,20 +5,20 @@ import pytest
 
 from signals import satellites
 from signals.arcs import arcs
+from signals.code_start import code_phase_origin, nominal, symbol_span
+from signals.codes import GPS_L1CA, GPS_L1CP, GPS_L2CL, GPS_L5Q
 from signals.constants import C_MPS, CA_CHIP_RATE_HZ, GPS_L1_HZ, OMEGA_EARTH
 from signals.propagation import (
-    CHIPS_PER_SYMBOL,
     SignalState,
-    code_phase_origin,
     elevation_azimuth,
     predict_channels,
     pseudorange,
     signal_state,
-    symbol_span,
 )
 from signals.satellites import embedded, orbit
 
 TOW = 475_220.0
+CHIPS_PER_SYMBOL = 20_460  # IS-GPS-200 3.3.2.2: a data bit is 20 ms of 1.023 Mcps
 PRNS, ROWS = embedded().select(2149, TOW)
 # 39.9 N 116.4 E, 8000 m (WGS-84, NGA.STND.0036 (4-14)) and its directions
 LAT, LON = np.radians([39.9, 116.4])
@@ -260,6 +260,10 @@ def test_origin_counts_from_the_data_bit():
     assert code_phase_origin(475_220.0) == 0.0
     assert code_phase_origin(475_220.02) == pytest.approx(0.0, abs=1e-3)
     assert code_phase_origin(0.013) == pytest.approx(13 * 1023.0, abs=1e-9)
+    # L5 Q: the 20 ms of its whole code; L1C pilot: an overlay chip of 10 ms; L2 CL: 1.5 s
+    of = nominal([GPS_L1CA, GPS_L5Q, GPS_L1CP, GPS_L2CL])
+    expected = [13 * 1023.0, 13 * 10_230.0, 3 * 1023.0, (20.013 - 19.5) * 511_500.0]
+    np.testing.assert_allclose(code_phase_origin(20.013, of), expected, atol=1e-6)
 
 
 def test_symbols_must_cover_the_run():
@@ -349,3 +353,35 @@ def test_elevation_of_arrays_and_at_the_pole():
     np.testing.assert_allclose(az[1:] + 1e-12, [0.0, np.pi / 2], atol=1e-9)
     el, _ = elevation_azimuth(np.array([0.0, 0.0, 6_356_752.3]), np.array([0.0, 0.0, 1.0]))
     assert el == pytest.approx(np.pi / 2, abs=1e-12)
+
+
+def test_signals_of_one_satellite_share_one_delay():
+    # c (time of transmission by the code) and c (carrier phase / f) are the same pseudorange for
+    # all signals of a satellite: no ionosphere, no group delays between signals
+    signals = [GPS_L1CA, GPS_L5Q, GPS_L1CP, GPS_L2CL]
+    of = nominal(signals)
+    t = np.arange(41) * 5e-3
+    first, n_symbol = symbol_span(TOW, t, of=of)
+    ones = np.ones((4, n_symbol), dtype=np.int8)
+    change = {"rows": ROWS[[2, 2, 2, 2]], "cn0_dbhz": np.full(4, 45.0), "of": of}
+    state = world(smooth, symbols=ones, first_symbol=first, **change)
+    alone = world(smooth)
+    np.testing.assert_array_equal(state.code_phase_chips[0], alone.code_phase_chips[2])
+    np.testing.assert_array_equal(state.carrier_phase_cycles[0], alone.carrier_phase_cycles[2])
+    rho = -C_MPS / GPS_L1_HZ * alone.carrier_phase_cycles[2]
+    origin = code_phase_origin(TOW, of)
+    for k, signal in enumerate(signals):
+        by_carrier = -C_MPS / signal.carrier_hz * state.carrier_phase_cycles[k]
+        np.testing.assert_allclose(by_carrier, rho, rtol=1e-14, atol=1e-12)
+        sent = origin[k] + signal.chip_rate_hz * t[:-1] - state.code_phase_chips[k, :, 0]
+        by_code = C_MPS / signal.chip_rate_hz * sent
+        np.testing.assert_allclose(by_code, rho[:, 0], rtol=0, atol=1e-5)
+    # a symbol number in the range that any channel can receive, for each
+    numbers = state.code_phase_chips[..., 0] / of.symbol_chips[:, None]
+    assert first <= np.floor(numbers.min())
+    assert np.floor(numbers.max()) < first + n_symbol
+    low = int(np.floor(numbers.min()))
+    with pytest.raises(ValueError, match=f"the run needs {low} to"):
+        world(smooth, **change, symbols=ones[:, :1], first_symbol=low + 1)
+    with pytest.raises(ValueError, match="of has 4 channels, expected"):
+        world(smooth, of=of)

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from signals import clock
+from signals.code_start import symbol_span
 from signals.codes import GPS_L1CA
 from signals.constants import C_MPS, GPS_L1_HZ
 from signals.correlator_model import ModelCorrelator
 from signals.noise import generator
-from signals.propagation import SignalState, pseudorange, signal_state, symbol_span
+from signals.propagation import SignalState, pseudorange, signal_state
 from ultratight import scenario
 from ultratight.ins.imu import Increments
 from ultratight.simulation import fly, new_closure

@@ -23,10 +23,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from signals.code_start import code_phase_origin
 from signals.codes import GPS_L1CA
 from signals.constants import C_MPS, CA_CHIP_RATE_HZ
 from signals.nco import Nco, Taps
-from signals.propagation import code_phase_origin
 from ultratight.ins.imu import Increments
 from ultratight.tracking.channel_loops import (
     EVENTS,

@@ -14,9 +14,10 @@ from typing import NamedTuple
 import numpy as np
 
 from signals.arcs import arcs
+from signals.code_start import code_phase_origin
 from signals.compiled import borrowing, kernel
 from signals.constants import C_MPS, CA_CHIP_RATE_HZ, GPS_L1_HZ, OMEGA_EARTH
-from signals.propagation import code_phase_origin, predict_channels
+from signals.propagation import predict_channels
 from ultratight.ins.attitude import make_orthonormal, turn_left
 from ultratight.ins.earth import gravity_at
 from ultratight.ins.strapdown import strapdown_step
