@@ -96,22 +96,24 @@ class Fading:
         self.elapsed_s += prediction.T
         if plain.innovation.size == 0:
             return prior, plain
-        k = measurement.z.shape[1]
-        rows = (measurement.channel[:, None] * k + np.arange(k)).ravel()
-        V = _remember(self.V0, self.seen, rows, plain.innovation, options.rho)
-        if self.elapsed_s <= options.start_s:
-            return prior, plain
-        row = min(options.information_row, k - 1)
-        lam = _fading_factor(
-            prior.cov, prediction.q, self._inflated, plain.H, plain.S, plain.gain, V, k, row,
-            options.gate, 1.0 / (1.0 + options.rho),
+        k, m = measurement.z.shape[1], plain.innovation.size
+        V = np.empty((m, m))
+        is_open = _watch(
+            self.V0, self.seen, measurement.channel, plain.innovation, options.rho, V,
+            prior.cov, prediction.q, self._inflated, plain.H, plain.noise,
+            min(options.information_row, k - 1), options.gate,
         )  # fmt: skip
+        if not is_open or self.elapsed_s <= options.start_s:
+            return prior, plain
+        lam = _fading_factor(self._inflated, plain.S, plain.gain, V)
         if not lam > 1.0:
             return prior, plain
         ceiling = self.first_variance if options.clamp else np.zeros(0)
         cov = _inflate(prior.cov, prediction.q, self._inflated, lam, ceiling)
         prior = Gaussian(prior.mean, cov)
-        return prior, update(prior, measurement, rule, iterations)._replace(lam=lam)
+        faded = update(prior, measurement, rule, iterations)
+        faded.lam = lam
+        return prior, faded
 
     def _prepare(self, state: Gaussian, prediction: Prediction, measurement: Measurement) -> None:
         """Size the memory at the first step after a reset; ValueError where it does not fit."""
@@ -172,14 +174,13 @@ def reading_iii(M: np.ndarray, S: np.ndarray, V0: np.ndarray) -> float:
 
 @kernel
 def _remember(
-    V0: np.ndarray, seen: np.ndarray, rows: np.ndarray, nu: np.ndarray, rho: float
-) -> np.ndarray:
-    """Refresh the rows present in V0 (in place) and return their part (m, m).
+    V0: np.ndarray, seen: np.ndarray, rows: np.ndarray, nu: np.ndarray, rho: float, V: np.ndarray
+) -> None:
+    """Refresh the rows present in V0 (in place) and write their part to V (m, m).
 
     A pair with a row never seen starts at nu nu' in place of the recursion.
     """
     m = rows.size
-    V = np.empty((m, m))
     for a in range(m):
         for b in range(m):
             i, j = rows[a], rows[b]
@@ -191,7 +192,33 @@ def _remember(
             V0[rows[a], rows[b]] = V[a, b]
     for a in range(m):
         seen[rows[a]] = True
-    return V
+
+
+@kernel
+def _watch(
+    V0: np.ndarray,
+    seen: np.ndarray,
+    channel: np.ndarray,
+    nu: np.ndarray,
+    rho: float,
+    V: np.ndarray,
+    cov: np.ndarray,
+    q: np.ndarray,
+    inflated: np.ndarray,
+    H: np.ndarray,
+    noise: np.ndarray,
+    row: int,
+    sigmas: float,
+) -> bool:
+    """Remember nu, fill V (m, m) with what is remembered of its rows; True: the gate is open."""
+    k = nu.size // channel.size
+    rows = np.empty(nu.size, np.int64)
+    for i in range(nu.size):
+        rows[i] = channel[i // k] * k + i % k
+    _remember(V0, seen, rows, nu, rho, V)
+    return sigmas == 0.0 or _gate_is_open(
+        cov, q, inflated, H, noise, V, k, row, sigmas, 1.0 / (1.0 + rho)
+    )
 
 
 @kernel(fastmath=FAST_SUM)
@@ -200,7 +227,7 @@ def _gate_is_open(
     q: np.ndarray,
     inflated: np.ndarray,
     H: np.ndarray,
-    S: np.ndarray,
+    noise: np.ndarray,
     V: np.ndarray,
     k: int,
     row: int,
@@ -209,40 +236,44 @@ def _gate_is_open(
 ) -> bool:
     """sum (V_qq - S_qq) > sigmas sqrt(2 sum S_qq^2 a / (2 - a)) over rows with information."""
     m, n = H.shape
-    M = np.zeros(m)
-    for i in range(m):
-        for c in range(n):
-            g = H[i, c] * inflated[c]
-            if g != 0.0:
-                for e in range(n):
-                    M[i] += g * (cov[c, e] - q[c, e]) * H[i, e] * inflated[e]
+    size = noise.shape[1]
     excess, spread = 0.0, 0.0
-    for i in range(m):
-        reference = i - i % k + row
-        if i == reference or M[i] > 1e-3 * M[reference]:
-            excess += V[i, i] - S[i, i]
-            spread += S[i, i] ** 2
+    for first in range(0, m, k):
+        reference = _information(cov, q, inflated, H[first + row])
+        for i in range(first, first + k):
+            if i != first + row:
+                if not _information(cov, q, inflated, H[i]) > 1e-3 * reference:
+                    continue
+            S = noise[i // size, i % size, i % size]
+            for c in range(n):
+                g = H[i, c]
+                if g != 0.0:
+                    s = 0.0
+                    for e in range(n):
+                        s += cov[c, e] * H[i, e]
+                    S += g * s
+            excess += V[i, i] - S
+            spread += S * S
     return excess > sigmas * np.sqrt(2.0 * spread * a / (2.0 - a))
 
 
 @kernel(fastmath=FAST_SUM)
-def _fading_factor(
-    cov: np.ndarray,
-    q: np.ndarray,
-    inflated: np.ndarray,
-    H: np.ndarray,
-    S: np.ndarray,
-    gain: np.ndarray,
-    V: np.ndarray,
-    k: int,
-    row: int,
-    sigmas: float,
-    a: float,
-) -> float:
-    """Reading (i) over the inflated states, at least 1; 1 while the gate is closed."""
-    if sigmas > 0.0 and not _gate_is_open(cov, q, inflated, H, S, V, k, row, sigmas, a):
-        return 1.0
-    m, n = H.shape
+def _information(cov: np.ndarray, q: np.ndarray, inflated: np.ndarray, h: np.ndarray) -> float:
+    """Of one row h (n,) of H: h E (P - Q) E h', what inflation would change of its S."""
+    n = h.size
+    M = 0.0
+    for c in range(n):
+        g = h[c] * inflated[c]
+        if g != 0.0:
+            for e in range(n):
+                M += g * (cov[c, e] - q[c, e]) * h[e] * inflated[e]
+    return M
+
+
+@kernel(fastmath=FAST_SUM)
+def _fading_factor(inflated: np.ndarray, S: np.ndarray, gain: np.ndarray, V: np.ndarray) -> float:
+    """Reading (i) over the inflated states, at least 1."""
+    n, m = gain.shape
     above, below = 0.0, 0.0
     P_xz, KV = np.empty(m), np.empty(m)
     for c in range(n):

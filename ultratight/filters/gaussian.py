@@ -13,12 +13,18 @@ physics only through ``Measurement.h``, a call on a whole array of projected poi
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from signals.compiled import FAST_SUM, kernel
-from ultratight.filters.rules import Linearisation, Rule
+from ultratight.filters.conditioning import (
+    condition_on,
+    gain_matrix,
+    innovation_cov,
+    predict_into,
+)
+from ultratight.filters.rules import Rule
 
 LOG_2PI = float(np.log(2.0 * np.pi))
 
@@ -42,19 +48,87 @@ class Measurement(NamedTuple):
     channel: np.ndarray  # (nb,) int64: index of each block on the channel axis
 
 
-class Update(NamedTuple):
-    """Posterior and what led to it; m = nb k rows, block by block."""
+class Update:
+    """Posterior and what led to it; m = nb k rows, block by block.
 
-    mean: np.ndarray  # (n,)
-    cov: np.ndarray  # (n, n)
-    innovation: np.ndarray  # (m,)
-    S: np.ndarray  # (m, m) innovation covariance
-    gain: np.ndarray  # (n, m)
-    log_likelihood: float  # log N(innovation; 0, S); NaN where S is not positive definite
-    nis: float  # innovation' S^-1 innovation
-    H: np.ndarray  # (m, n) slope of the last linearisation
-    lam: float = 1.0  # fading factor in use
-    passes: int = 1  # linearisations made
+    mean (n,), cov (n, n), innovation (m,), S (m, m) its covariance, gain (n, m), log_likelihood
+    log N(innovation; 0, S) (NaN where S is not positive definite), nis = innovation' S^-1
+    innovation, H (m, n) slope of the last linearisation, lam the fading factor in use, passes the
+    linearisations made.
+
+    S, gain and log_likelihood cost more than the update itself and the receiver's loop needs none
+    of them: left out, they are worked out from ``prior_cov`` (n, n), H and ``noise`` when first
+    asked for.  noise: the blocks of Omega + R, (nb, k, k), or (1, m, m) where a rule correlates
+    them.
+    """
+
+    __slots__ = (
+        "_S", "_gain", "_log_likelihood", "H", "cov", "innovation", "lam", "mean", "nis", "noise",
+        "passes", "prior_cov",
+    )  # fmt: skip
+
+    def __init__(
+        self,
+        mean: np.ndarray,
+        cov: np.ndarray,
+        innovation: np.ndarray,
+        S: np.ndarray | None = None,
+        gain: np.ndarray | None = None,
+        log_likelihood: float | None = None,
+        nis: float = np.nan,
+        H: np.ndarray | None = None,
+        lam: float = 1.0,
+        passes: int = 1,
+        *,
+        prior_cov: np.ndarray | None = None,
+        noise: np.ndarray | None = None,
+    ) -> None:
+        self.mean, self.cov, self.innovation, self.nis = mean, cov, innovation, nis
+        self._S, self._gain, self._log_likelihood = S, gain, log_likelihood
+        self.H, self.lam, self.passes = H, lam, passes
+        self.prior_cov, self.noise = prior_cov, noise
+
+    @property
+    def S(self) -> np.ndarray:
+        """(m, m) innovation covariance H P- H' + Omega + R."""
+        if self._S is None:
+            H, prior_cov, noise = self._evidence("S")
+            self._S = innovation_cov(H, prior_cov, noise)
+        return self._S
+
+    @property
+    def gain(self) -> np.ndarray:
+        """(n, m) gain P- H' S^-1."""
+        if self._gain is None:
+            H, prior_cov, _ = self._evidence("gain")
+            self._gain, _ = gain_matrix(self.S, H, prior_cov)
+            if np.isnan(self._gain).any():
+                self._gain = np.linalg.solve(self.S, H @ prior_cov).T
+        return self._gain
+
+    @property
+    def log_likelihood(self) -> float:
+        """log N(innovation; 0, S)."""
+        if self._log_likelihood is None:
+            H, prior_cov, _ = self._evidence("log_likelihood")
+            _, log_det = gain_matrix(self.S, H, prior_cov)
+            self._log_likelihood = -0.5 * (self.nis + log_det + self.innovation.size * LOG_2PI)
+        return self._log_likelihood
+
+    def _evidence(self, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """What the lazy fields are made of; AttributeError where the filter has left it out."""
+        if self.H is None or self.prior_cov is None or self.noise is None:
+            raise AttributeError(
+                f"{name}: neither given nor H, prior_cov and noise to find it from"
+            )
+        return self.H, self.prior_cov, self.noise
+
+    def _replace(self, **changes: Any) -> Update:
+        """A copy with some attributes changed, as of a NamedTuple."""
+        new = copy(self)
+        for name, value in changes.items():
+            setattr(new, f"_{name}" if f"_{name}" in self.__slots__ else name, value)
+        return new
 
 
 class Prediction(NamedTuple):
@@ -84,10 +158,27 @@ class Filter(Protocol):
         ...
 
 
+class CompiledModel(Protocol):
+    """An h that brings its own compiled update, see `tracking.tap_model`: one call, same figures.
+
+    Any other h is a plain function, called from Python between two compiled steps.
+    """
+
+    def condition(self, *arrays: np.ndarray) -> float:
+        """Linearise by projected points (or the Jacobian, where there are none) and condition.
+
+        Arguments: prior mean and covariance, those of the density, z, A, R, `UnitPoints.table`;
+        to be filled: innovation, H, noise, posterior mean and covariance.  Returns the NIS.
+        """
+        ...
+
+
 def predict(gaussian: Gaussian, phi: np.ndarray, q: np.ndarray) -> Gaussian:
     """Exact linear time update: mean (n,), cov (n, n) symmetric to the last bit."""
     mean, cov = _matrix(gaussian.mean), _matrix(gaussian.cov)
-    return Gaussian(*_predict(mean, cov, _matrix(phi), _matrix(q)))
+    m1, P1 = np.empty(mean.size), np.empty(cov.shape)
+    predict_into(mean, cov, _matrix(phi), _matrix(q), m1, P1)
+    return Gaussian(m1, P1)
 
 
 def update(
@@ -112,8 +203,7 @@ def update(
         return _unchanged(prior)
     density = prior if start is None else Gaussian(_matrix(start.mean), _matrix(start.cov))
     for passes in range(1, iterations + 1):
-        line = rule.linearise(density, measurement)
-        posterior = _posterior(prior, density, line, measurement, passes)
+        posterior = _posterior(prior, density, measurement, rule, passes)
         if passes == iterations:
             break
         if step_weight is not None:
@@ -122,34 +212,6 @@ def update(
                 break
         density = Gaussian(posterior.mean, posterior.cov)
     return posterior
-
-
-def update_sequential(gaussian: Gaussian, measurement: Measurement, rule: Rule) -> Update:
-    """Condition block after block with the regression fixed at the prior.
-
-    Algebraically the joint update, since Omega + R is block-diagonal; no (nb k) x (nb k) solve
-    for the posterior.  ValueError for rules with points in the full space.
-    """
-    if not rule.block_diagonal:
-        raise ValueError(f"rule: {rule.name!r} correlates blocks, expected a projected rule")
-    prior, measurement = _checked(gaussian, measurement)
-    if measurement.A.shape[0] == 0:
-        return _unchanged(prior)
-    zbar, H, Omega = rule.linearise(prior, measurement)
-    z, R = measurement.z, measurement.R
-    k = z.shape[1]
-    nu, noise, none = z.ravel() - zbar, Omega.copy(), np.zeros((k, k))
-    mean, cov, nis, log_det = prior.mean, prior.cov, 0.0, 0.0
-    for b in range(len(z)):
-        i = slice(b * k, b * k + k)
-        noise[i, i] += R[b]
-        mean, cov, _, _, _, part, part_det = _condition(
-            mean, cov, prior.mean, zbar[i], H[i], none, noise[i, i].reshape(1, k, k), z[b : b + 1]
-        )
-        nis, log_det = nis + part, log_det + part_det
-    log_likelihood = -0.5 * (nis + log_det + nu.size * LOG_2PI)
-    gain = np.linalg.solve(noise, H @ cov).T  # K = P+ H' (Omega + R)^-1
-    return Update(mean, cov, nu, H @ prior.cov @ H.T + noise, gain, log_likelihood, nis, H)
 
 
 def _matrix(array: np.ndarray) -> np.ndarray:
@@ -168,7 +230,9 @@ def _checked(gaussian: Gaussian, measurement: Measurement) -> tuple[Gaussian, Me
         raise ValueError(f"R: shape {R.shape} with z {z.shape}, expected (nb, k) and (nb, k, k)")
     if A.ndim != 3 or A.shape[0] != z.shape[0] or A.shape[2] != n:
         raise ValueError(f"A: shape {A.shape}, expected ({z.shape[0]}, d, {n})")
-    return Gaussian(mean, cov), measurement._replace(z=z, A=A, R=R)
+    return Gaussian(mean, cov), Measurement(
+        z, A, R, measurement.h, measurement.h_jacobian, measurement.channel
+    )
 
 
 def _unchanged(prior: Gaussian) -> Update:
@@ -179,190 +243,31 @@ def _unchanged(prior: Gaussian) -> Update:
 
 
 def _posterior(
-    prior: Gaussian, density: Gaussian, line: Linearisation, measurement: Measurement, passes: int
+    prior: Gaussian, density: Gaussian, measurement: Measurement, rule: Rule, passes: int
 ) -> Update:
     """Condition the prior on the affine model found at ``density``."""
-    zbar, H, Omega = line
-    mean, cov, nu, S, K, nis, log_det = _condition(
-        prior.mean, prior.cov, density.mean, zbar, H, Omega, measurement.R, measurement.z
+    z, A, R, h = measurement.z, measurement.A, measurement.R, measurement.h
+    n, m = prior.mean.size, z.size
+    mean, cov, nu = np.empty(n), np.empty((n, n)), np.empty(m)
+    compiled = getattr(h, "condition", None)
+    if compiled is not None and rule.block_diagonal:
+        H, noise = np.empty((m, n)), np.empty(R.shape)
+        nis = compiled(
+            prior.mean, prior.cov, density.mean, density.cov, z, A, R, rule.table(A.shape[1]),
+            nu, H, noise, mean, cov,
+        )  # fmt: skip
+    else:
+        zbar, H, Omega = rule.linearise(density, measurement)
+        noise = np.array(Omega if np.ndim(Omega) == 3 else [Omega])
+        nis = condition_on(prior.mean, prior.cov, density.mean, zbar, H, z, R, nu, noise, mean, cov)
+    found = Update(mean, cov, nu, nis=nis, H=H, passes=passes, prior_cov=prior.cov, noise=noise)
+    return found if nis == nis else _bare(prior, found)
+
+
+def _bare(prior: Gaussian, update: Update) -> Update:
+    """The bare formulas, for an S that is not positive definite (negative weights)."""
+    K, S, nu = update.gain, update.S, update.innovation
+    cov = prior.cov - K @ S @ K.T
+    return update._replace(
+        mean=prior.mean + K @ nu, cov=0.5 * (cov + cov.T), nis=float(nu @ np.linalg.solve(S, nu))
     )
-    if np.isnan(log_det):  # S not positive definite (negative weights): the bare formulas
-        K = np.linalg.solve(S, H @ prior.cov).T
-        mean, cov = prior.mean + K @ nu, prior.cov - K @ S @ K.T
-        cov, nis = 0.5 * (cov + cov.T), float(nu @ np.linalg.solve(S, nu))
-    log_likelihood = -0.5 * (nis + log_det + nu.size * LOG_2PI)
-    return Update(mean, cov, nu, S, K, log_likelihood, nis, H, 1.0, passes)
-
-
-# ---------------------------------------------------------------------------------- kernels
-
-
-@kernel(fastmath=FAST_SUM)
-def _predict(
-    mean: np.ndarray, cov: np.ndarray, phi: np.ndarray, q: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Phi m and Phi P Phi' + Q; Phi is mostly zero, hence the row sums skip zeros."""
-    n = mean.size
-    m1 = np.empty(n)
-    X = np.zeros((n, n))
-    P1 = np.zeros((n, n))
-    for i in range(n):
-        s = 0.0
-        for k in range(n):
-            g = phi[i, k]
-            if g != 0.0:
-                s += g * mean[k]
-                for j in range(n):
-                    P1[i, j] += g * cov[k, j]
-        m1[i] = s
-    X[:] = P1.T
-    for i in range(n):
-        for j in range(n):
-            P1[i, j] = q[i, j]
-    for i in range(n):
-        for k in range(n):
-            g = phi[i, k]
-            if g != 0.0:
-                for j in range(n):
-                    P1[i, j] += g * X[k, j]
-    for i in range(n):
-        for j in range(i):
-            s = 0.5 * (P1[i, j] + P1[j, i])
-            P1[i, j] = s
-            P1[j, i] = s
-    return m1, P1
-
-
-@kernel(fastmath=FAST_SUM)
-def _innovation(
-    mean: np.ndarray, lin_mean: np.ndarray, zbar: np.ndarray, H: np.ndarray, z: np.ndarray
-) -> np.ndarray:
-    """nu (m,) = z - zbar - H (mean - lin_mean)."""
-    m, n = H.shape
-    k = z.shape[1]
-    nu = np.empty(m)
-    for q in range(m):
-        s = z[q // k, q % k] - zbar[q]
-        for a in range(n):
-            s -= H[q, a] * (mean[a] - lin_mean[a])
-        nu[q] = s
-    return nu
-
-
-@kernel(fastmath=FAST_SUM)
-def _slope_times_cov(H: np.ndarray, cov: np.ndarray) -> np.ndarray:
-    """H P (m, n)."""
-    m, n = H.shape
-    HP = np.zeros((m, n))
-    for q in range(m):
-        for c in range(n):
-            g = H[q, c]
-            if g != 0.0:
-                for a in range(n):
-                    HP[q, a] += g * cov[c, a]
-    return HP
-
-
-@kernel(fastmath=FAST_SUM)
-def _factor(S: np.ndarray, L: np.ndarray) -> float:
-    """Lower Cholesky factor of S by columns; returns log det S, NaN where S is not positive."""
-    m = S.shape[0]
-    log_det = 0.0
-    for i in range(m):
-        for j in range(i + 1):
-            s = S[i, j]
-            for k in range(j):
-                s -= L[i, k] * L[j, k]
-            if i == j:
-                if not s > 0.0:
-                    return np.nan
-                L[i, i] = np.sqrt(s)
-                log_det += np.log(s)
-            else:
-                L[i, j] = s / L[j, j]
-    return log_det
-
-
-@kernel(fastmath=FAST_SUM)
-def _innovation_cov(W: np.ndarray, H: np.ndarray, Omega: np.ndarray, R: np.ndarray) -> np.ndarray:
-    """S (m, m) = W H' + Omega + blockdiag(R), W = H P."""
-    m, n = H.shape
-    k = R.shape[1]
-    S = np.empty((m, m))
-    for q in range(m):
-        for r in range(q + 1):
-            s = Omega[q, r]
-            if q // k == r // k:
-                s += R[q // k, q % k, r % k]
-            for a in range(n):
-                s += W[q, a] * H[r, a]
-            S[q, r] = s
-            S[r, q] = s
-    return S
-
-
-@kernel(fastmath=FAST_SUM)
-def _whiten(L: np.ndarray, W: np.ndarray, e: np.ndarray) -> None:
-    """W <- L^-1 W and e <- L^-1 e, in place."""
-    m, n = W.shape
-    for q in range(m):
-        for r in range(q):
-            g = L[q, r]
-            e[q] -= g * e[r]
-            for a in range(n):
-                W[q, a] -= g * W[r, a]
-        g = 1.0 / L[q, q]
-        e[q] *= g
-        for a in range(n):
-            W[q, a] *= g
-
-
-@kernel(fastmath=FAST_SUM)
-def _gain(L: np.ndarray, W: np.ndarray) -> np.ndarray:
-    """K (n, m) = (L^-T W)', W = L^-1 H P; W is overwritten."""
-    m, n = W.shape
-    K = np.empty((n, m))
-    for q in range(m - 1, -1, -1):
-        for r in range(q + 1, m):
-            g = L[r, q]
-            for a in range(n):
-                W[q, a] -= g * W[r, a]
-        for a in range(n):
-            W[q, a] /= L[q, q]
-            K[a, q] = W[q, a]
-    return K
-
-
-@kernel(fastmath=FAST_SUM)
-def _condition(
-    mean: np.ndarray,
-    cov: np.ndarray,
-    lin_mean: np.ndarray,
-    zbar: np.ndarray,
-    H: np.ndarray,
-    Omega: np.ndarray,
-    R: np.ndarray,
-    z: np.ndarray,
-) -> tuple[Any, ...]:
-    """Joint update by the Cholesky factor of S: posterior, nu, S, K, NIS, log det S (or NaN)."""
-    m, n = H.shape
-    nu = _innovation(mean, lin_mean, zbar, H, z)
-    W = _slope_times_cov(H, cov)
-    S = _innovation_cov(W, H, Omega, R)
-    m1, P1, L = mean.copy(), cov.copy(), np.zeros((m, m))
-    log_det = _factor(S, L)
-    if np.isnan(log_det):
-        return m1, P1, nu, S, np.zeros((n, m)), np.nan, log_det
-    e, nis = nu.copy(), 0.0
-    _whiten(L, W, e)
-    for q in range(m):
-        nis += e[q] * e[q]
-        for a in range(n):
-            g = W[q, a]
-            m1[a] += g * e[q]
-            for c in range(a + 1):
-                P1[a, c] -= g * W[q, c]
-    for a in range(n):
-        for c in range(a):
-            P1[c, a] = P1[a, c]
-    return m1, P1, nu, S, _gain(L, W), nis, log_det

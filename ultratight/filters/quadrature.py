@@ -11,11 +11,11 @@ import numpy as np
 
 
 class UnitPoints(NamedTuple):
-    """A quadrature rule for N(0, I_d); arrays are read-only and cached."""
+    """A quadrature rule for N(0, I_d), cached."""
 
     xi: np.ndarray  # (d, p) points
     w: np.ndarray  # (p,) weights, sum 1, possibly negative
-    w_xi: np.ndarray  # (d, p) w * xi
+    table: np.ndarray  # (d + 1, p) w and xi in one block, for kernels, which take no read-only one
 
 
 PointFunction = Callable[[int], tuple[np.ndarray, np.ndarray]]
@@ -81,7 +81,7 @@ def unit_points(function: PointFunction, d: int) -> UnitPoints:
     moments = (w.sum() - 1.0, xi @ w, (xi * w) @ xi.T - np.eye(d))
     if max(float(np.abs(v).max(initial=0.0)) for v in map(np.asarray, moments)) > 1e-9:
         raise ValueError(f"unit points: moments {moments}, expected those of N(0, I)")
-    result = UnitPoints(xi, w, np.ascontiguousarray(xi * w))
-    for array in result:
-        array.setflags(write=False)
-    return result
+    table = np.vstack([w, xi])
+    xi.setflags(write=False)
+    w.setflags(write=False)
+    return UnitPoints(xi, w, table)

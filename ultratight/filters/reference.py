@@ -22,11 +22,11 @@ def update_reference(
     for _ in range(iterations):
         zbar, H, Omega = _linearise_reference(Gaussian(mean, cov), measurement, rule)
         nu = z - zbar - H @ (m0 - mean)
-        S = H @ P0 @ H.T + Omega + noise_R
+        S = H @ P0 @ H.T + Omega[0] + noise_R
         K = np.linalg.solve(S, H @ P0).T
         mean = m0 + K @ nu
         I_KH = np.eye(m0.size) - K @ H
-        cov = I_KH @ P0 @ I_KH.T + K @ (Omega + noise_R) @ K.T
+        cov = I_KH @ P0 @ I_KH.T + K @ (Omega[0] + noise_R) @ K.T
     nis = float(nu @ np.linalg.solve(S, nu))
     log_likelihood = -0.5 * (nis + np.linalg.slogdet(S)[1] + z.size * LOG_2PI)
     return Update(mean, cov, nu, S, K, log_likelihood, nis, H, 1.0, iterations)
@@ -39,7 +39,7 @@ def _linearise_reference(density: Gaussian, measurement: Measurement, rule: Rule
     if rule.points is None:
         zbar, J = measurement.h_jacobian(A @ mean)
         H = np.einsum("bqj,bjn->bqn", J, A).reshape(-1, n)
-        return Linearisation(zbar.ravel(), H, np.zeros((len(H), len(H))))
+        return Linearisation(zbar.ravel(), H, np.zeros((1, len(H), len(H))))
     full = rule.space == "full"
     points, w = rule.points(n if full else d)
     if full:
@@ -48,7 +48,7 @@ def _linearise_reference(density: Gaussian, measurement: Measurement, rule: Rule
         Z = Z.transpose(1, 0, 2).reshape(len(w), -1)
         dz = Z - w @ Z
         H = np.linalg.solve(cov, (dx.T * w) @ dz).T
-        return Linearisation(w @ Z, H, (dz.T * w) @ dz - H @ cov @ H.T)
+        return Linearisation(w @ Z, H, ((dz.T * w) @ dz - H @ cov @ H.T)[None])
     S = A @ cov @ A.transpose(0, 2, 1)
     dy = np.einsum("bij,pj->bpi", np.linalg.cholesky(S), points)
     Z = measurement.h(np.ascontiguousarray((A @ mean)[:, None, :] + dy))
@@ -57,8 +57,8 @@ def _linearise_reference(density: Gaussian, measurement: Measurement, rule: Rule
     C = np.einsum("p,bpi,bpk->bik", w, dy, dz)
     G = np.linalg.solve(S, C).transpose(0, 2, 1)
     k = Z.shape[2]
-    Omega = np.zeros((nb * k, nb * k))
+    Omega = np.zeros((1, nb * k, nb * k))
     for b in range(nb):
         block = slice(b * k, b * k + k)
-        Omega[block, block] = (dz[b].T * w) @ dz[b] - G[b] @ S[b] @ G[b].T
+        Omega[0, block, block] = (dz[b].T * w) @ dz[b] - G[b] @ S[b] @ G[b].T
     return Linearisation(zbar.ravel(), (G @ A).reshape(-1, n), Omega)

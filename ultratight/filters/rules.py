@@ -39,7 +39,7 @@ class Linearisation(NamedTuple):
 
     zbar: np.ndarray  # (m,)
     H: np.ndarray  # (m, n)
-    Omega: np.ndarray  # (m, m)
+    Omega: np.ndarray  # its blocks: (nb, k, k), or (1, m, m) where a rule correlates them
 
 
 @dataclass(frozen=True)
@@ -57,23 +57,28 @@ class Rule:
         nb, d, _ = A.shape
         k = measurement.R.shape[1]
         if self.points is None:
-            zbar, J = measurement.h_jacobian(_project_mean(mean, A))
+            zbar, J = measurement.h_jacobian(_project_means(mean, A))
             if zbar.shape != (nb, k) or J.shape != (nb, k, d):
                 raise ValueError(
                     f"h_jacobian: shapes {zbar.shape}, {J.shape}, expected {(nb, k)}, {(nb, k, d)}"
                 )
-            H = _chain(J, A)
-            return Linearisation(zbar.reshape(-1), H, np.zeros((nb * k, nb * k)))
+            H = np.empty((nb * k, A.shape[2]))
+            chain(J, A, H)
+            return Linearisation(zbar.reshape(-1), H, np.zeros((nb, k, k)))
         projected = self.space == "projected"
-        xi, w, w_xi = unit_points(self.points, d if projected else A.shape[2])
+        table = self.table(d if projected else A.shape[2])
         place = _place_projected if projected else _place_full
-        Y, root = place(mean, cov, A, xi)
+        Y, root = place(mean, cov, A, table)
         Z = measurement.h(Y)
-        if Z.shape != (nb, w.size, k):
-            raise ValueError(f"h: shape {Z.shape}, expected {(nb, w.size, k)}")
+        if Z.shape != (nb, table.shape[1], k):
+            raise ValueError(f"h: shape {Z.shape}, expected {(nb, table.shape[1], k)}")
         if projected:
-            return Linearisation(*_regress_projected(A, root, w, w_xi, Z))
-        return Linearisation(*_regress_full(root, w, w_xi, Z))
+            return Linearisation(*_regress_projected(A, root, table, Z))
+        return Linearisation(*_regress_full(root, table, Z))
+
+    def table(self, d: int) -> np.ndarray:
+        """`UnitPoints.table` in d dimensions; without columns where the rule has no points."""
+        return np.empty((d + 1, 0)) if self.points is None else unit_points(self.points, d).table
 
     @property
     def block_diagonal(self) -> bool:
@@ -157,176 +162,183 @@ def _solve_slope(L: np.ndarray, G: np.ndarray) -> None:
 
 
 @kernel(fastmath=FAST_SUM)
-def _project_mean(mean: np.ndarray, A: np.ndarray) -> np.ndarray:
-    """y (nb, d) = A x."""
-    nb, d, n = A.shape
-    y = np.empty((nb, d))
-    for b in range(nb):
-        for j in range(d):
+def project_mean(A: np.ndarray, mean: np.ndarray, y: np.ndarray) -> None:
+    """y (d,) = A x of one block."""
+    for j in range(A.shape[0]):
+        s = 0.0
+        for a in range(A.shape[1]):
+            s += A[j, a] * mean[a]
+        y[j] = s
+
+
+@kernel(fastmath=FAST_SUM)
+def project_root(A: np.ndarray, cov: np.ndarray, L: np.ndarray) -> None:
+    """Root L (d, d) of A P A' of one block."""
+    d, n = A.shape
+    S = np.empty((d, d))
+    AP = np.empty(n)
+    for j in range(d):
+        for a in range(n):
+            AP[a] = 0.0
+        for c in range(n):
+            g = A[j, c]
+            if g != 0.0:
+                for a in range(n):
+                    AP[a] += g * cov[c, a]
+        for i in range(j + 1):
             s = 0.0
             for a in range(n):
-                s += A[b, j, a] * mean[a]
-            y[b, j] = s
-    return y
+                s += AP[a] * A[i, a]
+            S[j, i] = s
+            S[i, j] = s
+    psd_cholesky(S, L)
 
 
 @kernel(fastmath=FAST_SUM)
-def _chain(J: np.ndarray, A: np.ndarray) -> np.ndarray:
-    """H (nb k, n) = J A, block by block."""
-    nb, k, d = J.shape
-    n = A.shape[2]
-    H = np.zeros((nb * k, n))
-    for b in range(nb):
-        for q in range(k):
-            row = H[b * k + q]
-            for j in range(d):
-                g = J[b, q, j]
-                for a in range(n):
-                    row[a] += g * A[b, j, a]
-    return H
-
-
-@kernel(fastmath=FAST_SUM)
-def _scatter(y: np.ndarray, L: np.ndarray, xi: np.ndarray, out: np.ndarray) -> None:
-    """Points out (p, d) = y + L xi."""
-    d, p = xi.shape
+def scatter(y: np.ndarray, L: np.ndarray, table: np.ndarray, Y: np.ndarray) -> None:
+    """Points Y (d, p) = y + L xi."""
+    d, p = Y.shape
     for j in range(d):
         for i in range(p):
-            out[i, j] = y[j]
-        for c in range(L.shape[1]):
+            Y[j, i] = y[j]
+        for c in range(j + 1):
             g = L[j, c]
             if g != 0.0:
                 for i in range(p):
-                    out[i, j] += g * xi[c, i]
+                    Y[j, i] += g * table[1 + c, i]
 
 
 @kernel(fastmath=FAST_SUM)
+def regress(
+    L: np.ndarray,
+    table: np.ndarray,
+    Z: np.ndarray,
+    zbar: np.ndarray,
+    G: np.ndarray,
+    Omega: np.ndarray,
+) -> None:
+    """SLR of values Z (k, p) at points of root L (d, d): zbar (k,), slope G (k, d), Omega (k, k).
+
+    Z is left with its deviations from zbar.
+    """
+    k, p = Z.shape
+    d = L.shape[0]
+    w_dz = np.empty(p)
+    for q in range(k):
+        s = 0.0
+        for i in range(p):
+            s += table[0, i] * Z[q, i]
+        zbar[q] = s
+        for i in range(p):
+            Z[q, i] -= s
+            w_dz[i] = table[0, i] * Z[q, i]
+        for j in range(d):
+            s = 0.0
+            for i in range(p):
+                s += w_dz[i] * table[1 + j, i]
+            G[q, j] = s
+        for r in range(q + 1):
+            s = 0.0
+            for i in range(p):
+                s += w_dz[i] * Z[r, i]
+            for j in range(d):
+                s -= G[q, j] * G[r, j]
+            Omega[q, r] = s
+            Omega[r, q] = s
+    _solve_slope(L, G)
+
+
+@kernel(fastmath=FAST_SUM)
+def chain(G: np.ndarray, A: np.ndarray, H: np.ndarray) -> None:
+    """H (nb k, n) = G A, block by block."""
+    nb, k, d = G.shape
+    n = A.shape[2]
+    for b in range(nb):
+        for q in range(k):
+            row = b * k + q
+            for a in range(n):
+                H[row, a] = 0.0
+            for j in range(d):
+                g = G[b, q, j]
+                for a in range(n):
+                    H[row, a] += g * A[b, j, a]
+
+
+@kernel
+def _project_means(mean: np.ndarray, A: np.ndarray) -> np.ndarray:
+    """y (nb, d) = A x of all blocks."""
+    y = np.empty(A.shape[:2])
+    for b in range(A.shape[0]):
+        project_mean(A[b], mean, y[b])
+    return y
+
+
+@kernel
 def _place_projected(
-    mean: np.ndarray, cov: np.ndarray, A: np.ndarray, xi: np.ndarray
+    mean: np.ndarray, cov: np.ndarray, A: np.ndarray, table: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Points Y (nb, p, d) and roots L (nb, d, d) of A_i P A_i'."""
-    nb, d, n = A.shape
-    y = _project_mean(mean, A)
-    Y = np.empty((nb, xi.shape[1], d))
-    L = np.zeros((nb, d, d))
-    S = np.empty((d, d))
-    AP = np.empty(n)
+    nb, d, _ = A.shape
+    p = table.shape[1]
+    y, L = np.empty(d), np.empty((nb, d, d))
+    Y, points = np.empty((nb, p, d)), np.empty((d, p))
     for b in range(nb):
-        for j in range(d):
-            AP[:] = 0.0
-            for c in range(n):
-                a = A[b, j, c]
-                if a != 0.0:
-                    for e in range(n):
-                        AP[e] += a * cov[c, e]
-            for i in range(j + 1):
-                s = 0.0
-                for e in range(n):
-                    s += AP[e] * A[b, i, e]
-                S[j, i] = s
-                S[i, j] = s
-        psd_cholesky(S, L[b])
-        _scatter(y[b], L[b], xi, Y[b])
+        project_mean(A[b], mean, y)
+        project_root(A[b], cov, L[b])
+        scatter(y, L[b], table, points)
+        Y[b] = points.T
     return Y, L
 
 
-@kernel(fastmath=FAST_SUM)
+@kernel
 def _place_full(
-    mean: np.ndarray, cov: np.ndarray, A: np.ndarray, xi: np.ndarray
+    mean: np.ndarray, cov: np.ndarray, A: np.ndarray, table: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Points Y (nb, p, d) = A (m + L xi) and the root L (n, n) of P."""
     nb, d, n = A.shape
-    p = xi.shape[1]
-    y = _project_mean(mean, A)
-    L = np.zeros((n, n))
+    p = table.shape[1]
+    L, X = np.empty((n, n)), np.empty((n, p))
     psd_cholesky(cov, L)
-    X = np.zeros((n, p))
-    for a in range(n):
-        for c in range(a + 1):
-            g = L[a, c]
-            for i in range(p):
-                X[a, i] += g * xi[c, i]
-    Y = np.empty((nb, p, d))
+    scatter(mean, L, table, X)
+    Y, points = np.empty((nb, p, d)), np.empty((d, p))
     for b in range(nb):
+        points[:] = 0.0
         for j in range(d):
-            Y[b, :, j] = y[b, j]
             for a in range(n):
                 g = A[b, j, a]
                 if g != 0.0:
                     for i in range(p):
-                        Y[b, i, j] += g * X[a, i]
+                        points[j, i] += g * X[a, i]
+        Y[b] = points.T
     return Y, L
 
 
-@kernel(fastmath=FAST_SUM)
-def _centre(Z: np.ndarray, w: np.ndarray, zbar: np.ndarray, dz: np.ndarray) -> None:
-    """Weighted mean zbar (k,) of Z (p, k) and deviations dz (k, p)."""
-    p, k = Z.shape
-    for q in range(k):
-        s = 0.0
-        for i in range(p):
-            s += w[i] * Z[i, q]
-        zbar[q] = s
-        for i in range(p):
-            dz[q, i] = Z[i, q] - s
-
-
-@kernel(fastmath=FAST_SUM)
-def _moments(
-    dz: np.ndarray, w: np.ndarray, w_xi: np.ndarray, C: np.ndarray, cov_z: np.ndarray
-) -> None:
-    """C (m, d) = E[dz xi'] and cov_z (m, m) = E[dz dz'] - C C', deviations dz (m, p)."""
-    m, p = dz.shape
-    w_dz = np.empty(p)
-    for q in range(m):
-        for j in range(w_xi.shape[0]):
-            s = 0.0
-            for i in range(p):
-                s += dz[q, i] * w_xi[j, i]
-            C[q, j] = s
-        for i in range(p):
-            w_dz[i] = w[i] * dz[q, i]
-        for r in range(q + 1):
-            s = 0.0
-            for i in range(p):
-                s += w_dz[i] * dz[r, i]
-            for j in range(w_xi.shape[0]):
-                s -= C[q, j] * C[r, j]
-            cov_z[q, r] = s
-            cov_z[r, q] = s
-
-
-@kernel(fastmath=FAST_SUM)
+@kernel
 def _regress_projected(
-    A: np.ndarray, L: np.ndarray, w: np.ndarray, w_xi: np.ndarray, Z: np.ndarray
+    A: np.ndarray, L: np.ndarray, table: np.ndarray, Z: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """SLR of every block: zbar (m,), H (m, n) = G A, Omega (m, m) block-diagonal."""
+    """SLR of every block: zbar (m,), H (m, n) = G A, Omega (nb, k, k)."""
     nb, p, k = Z.shape
-    d = A.shape[1]
-    zbar = np.empty((nb, k))
-    G = np.empty((nb, k, d))
-    Omega = np.zeros((nb * k, nb * k))
-    dz = np.empty((k, p))
+    d, n = A.shape[1:]
+    zbar, G, Omega = np.empty((nb, k)), np.empty((nb, k, d)), np.empty((nb, k, k))
+    H, values = np.empty((nb * k, n)), np.empty((k, p))
     for b in range(nb):
-        _centre(Z[b], w, zbar[b], dz)
-        _moments(dz, w, w_xi, G[b], Omega[b * k : b * k + k, b * k : b * k + k])
-        _solve_slope(L[b], G[b])
-    return zbar.reshape(-1), _chain(G, A), Omega
+        values[:] = Z[b].T
+        regress(L[b], table, values, zbar[b], G[b], Omega[b])
+    chain(G, A, H)
+    return zbar.reshape(-1), H, Omega
 
 
-@kernel(fastmath=FAST_SUM)
+@kernel
 def _regress_full(
-    L: np.ndarray, w: np.ndarray, w_xi: np.ndarray, Z: np.ndarray
+    L: np.ndarray, table: np.ndarray, Z: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """SLR of all blocks at once from points in R^n: zbar (m,), H (m, n), Omega (m, m)."""
+    """SLR of all blocks at once from points in R^n: zbar (m,), H (m, n), Omega (1, m, m)."""
     nb, p, k = Z.shape
     m = nb * k
-    zbar = np.empty(m)
-    dz = np.empty((m, p))
+    zbar, H, Omega = np.empty(m), np.empty((m, L.shape[0])), np.empty((1, m, m))
+    values = np.empty((m, p))
     for b in range(nb):
-        _centre(Z[b], w, zbar[b * k : b * k + k], dz[b * k : b * k + k])
-    H = np.empty((m, L.shape[0]))
-    Omega = np.empty((m, m))
-    _moments(dz, w, w_xi, H, Omega)
-    _solve_slope(L, H)
+        values[b * k : b * k + k] = Z[b].T
+    regress(L, table, values, zbar, H, Omega[0])
     return zbar, H, Omega
