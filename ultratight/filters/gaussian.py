@@ -63,8 +63,18 @@ class Update:
     """
 
     __slots__ = (
-        "_S", "_gain", "_log_likelihood", "H", "cov", "innovation", "lam", "mean", "nis", "noise",
-        "passes", "prior_cov",
+        "H",
+        "_S",
+        "_gain",
+        "_log_likelihood",
+        "cov",
+        "innovation",
+        "lam",
+        "mean",
+        "nis",
+        "noise",
+        "passes",
+        "prior_cov",
     )  # fmt: skip
 
     def __init__(

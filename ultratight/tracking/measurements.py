@@ -23,19 +23,15 @@ A known rotation between NCO and reference (`steering`) is taken out of the taps
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from signals.compiled import kernel
-from signals.constants import C_MPS, CA_CHIP_RATE_HZ
 from ultratight.filters.gaussian import Measurement
 from ultratight.tracking.half_bits import EARLY, LATE, PROMPT, Bits
 from ultratight.tracking.steering import WAVELENGTH_M
-
-Kernel = Callable[[np.ndarray, np.ndarray, np.ndarray], None]
-CHIP_M = C_MPS / CA_CHIP_RATE_HZ
+from ultratight.tracking.tap_model import TapModel, correlation
 
 
 class LineOfSight(NamedTuple):
@@ -47,35 +43,6 @@ class LineOfSight(NamedTuple):
     arm_rate_e: np.ndarray  # (3,) velocity of the antenna with respect to the IMU [m/s]
     C_b_e: np.ndarray  # (3, 3)
     force_e: np.ndarray  # (3,) mean specific force in ECEF [m/s2]
-
-
-class TapModel:
-    """h and its Jacobian; ``params`` (nb, 4): R1, known offset [m], T_h [s], spacing [chips]."""
-
-    def __init__(self, params: np.ndarray, h: Kernel, jacobian: Kernel) -> None:
-        self.params, self._h, self._jacobian = params, h, jacobian
-
-    def __call__(self, y: np.ndarray) -> np.ndarray:
-        """Predicted z (nb, p, 3) at points y (nb, p, d)."""
-        z = np.empty((y.shape[0], y.shape[1], 3))
-        self._h(y, self.params, z)
-        return z
-
-    def jacobian(self, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """z (nb, 3) and dz/dy (nb, 3, d) at y (nb, d)."""
-        J = np.empty((y.shape[0], 3, y.shape[1]))
-        self._jacobian(y, self.params, J)
-        return self(y[:, None, :])[:, 0], J
-
-
-def differential_model(params: np.ndarray) -> TapModel:
-    """Model D: d = 2."""
-    return TapModel(params, _h_differential, _jacobian_differential)
-
-
-def coherent_model(params: np.ndarray) -> TapModel:
-    """Model C: d = 3."""
-    return TapModel(params, _h_coherent, _jacobian_coherent)
 
 
 def differential(
@@ -93,7 +60,7 @@ def differential(
     params = np.empty((nb, 4))
     _build(bits, los, lag1, spacing_chips, params, A, 1)
     _z_differential(bits.iq, bits.channel, params, amplitude2, clock_sf, z, R)
-    model = differential_model(params)
+    model = TapModel(params)
     return Measurement(z, A, R, model, model.jacobian, bits.channel)
 
 
@@ -119,26 +86,8 @@ def coherent(
     # t_mid has not met the last of it, and met its own share as a mean over two halves.
     unmet = clock_sf * (los.t_s - bits.t_mid_s - bits.half_s / 6.0)
     R[:, 1, 1] -= np.minimum((2.0 * np.pi / WAVELENGTH_M) ** 2 * unmet, 0.5 * R[:, 1, 1])
-    model = coherent_model(params)
+    model = TapModel(params)
     return Measurement(z, A, R, model, model.jacobian, bits.channel)
-
-
-@kernel
-def _correlation(d: float, lag1: float) -> float:
-    """R(d): linear between the code's own values at lags 0 and 1, flat beyond."""
-    d = abs(d)
-    return 1.0 - d * (1.0 - lag1) if d < 1.0 else lag1
-
-
-@kernel
-def _slope(d: float, lag1: float) -> float:
-    """dR/dd, zero at the kinks."""
-    return 0.0 if abs(d) >= 1.0 else -np.sign(d) * (1.0 - lag1)
-
-
-@kernel
-def _sinc(x: float) -> float:
-    return 1.0 - x * x / 6.0 if abs(x) < 1e-4 else np.sin(x) / x
 
 
 @kernel
@@ -198,7 +147,7 @@ def _split(
     """S of two halves and its variance; L - E has 2 (1 - R(2 spacing)) per component and half."""
     s1 = ((first[LATE] - first[EARLY]) * np.conj(first[PROMPT])).real
     s2 = ((second[LATE] - second[EARLY]) * np.conj(second[PROMPT])).real
-    half = 1.0 - _correlation(2.0 * params[3], params[0])
+    half = 1.0 - correlation(2.0 * params[3], params[0])
     return 0.5 * (s1 + s2) / a2, half * (1.0 / a2 + 2.0 / a2**2)
 
 
@@ -244,85 +193,3 @@ def _z_coherent(
         z[b, 2], R[b, 2, 2] = _split(first, second, params[b], a2)
         R[b, 0, 0] = 0.5 / a2
         R[b, 1, 1] = 0.5 / a2
-
-
-@kernel
-def _h_differential(y: np.ndarray, params: np.ndarray, z: np.ndarray) -> None:
-    for b in range(y.shape[0]):
-        lag1, offset, half, spacing = params[b]
-        for k in range(y.shape[1]):
-            d = (y[b, k, 0] + offset) / CHIP_M
-            x = np.pi * y[b, k, 1] / WAVELENGTH_M * half
-            loss = _sinc(x) ** 2
-            r = _correlation(d, lag1)
-            z[b, k, 0] = r * r * loss * np.cos(2.0 * x)
-            z[b, k, 1] = r * r * loss * np.sin(2.0 * x)
-            split = _correlation(d - spacing, lag1) - _correlation(d + spacing, lag1)
-            z[b, k, 2] = loss * r * split
-
-
-@kernel
-def _h_coherent(y: np.ndarray, params: np.ndarray, z: np.ndarray) -> None:
-    for b in range(y.shape[0]):
-        lag1, offset, half, spacing = params[b]
-        for k in range(y.shape[1]):
-            d = (y[b, k, 0] + offset) / CHIP_M
-            phase = 2.0 * np.pi * y[b, k, 1] / WAVELENGTH_M
-            x = np.pi * y[b, k, 2] / WAVELENGTH_M * half
-            r = _correlation(d, lag1)
-            amplitude = r * _sinc(2.0 * x)
-            z[b, k, 0] = amplitude * np.cos(phase)
-            z[b, k, 1] = amplitude * np.sin(phase)
-            split = _correlation(d - spacing, lag1) - _correlation(d + spacing, lag1)
-            z[b, k, 2] = _sinc(x) ** 2 * r * split
-
-
-@kernel
-def _sinc_slope(x: float) -> float:
-    return -x / 3.0 if abs(x) < 1e-4 else (np.cos(x) - np.sin(x) / x) / x
-
-
-# In the Jacobians the prompt's R(d) counts as constant: its peak is a kink, whose one-sided slope
-# would tell an extended Kalman filter a range error from the amplitude alone.
-
-
-@kernel
-def _jacobian_differential(y: np.ndarray, params: np.ndarray, J: np.ndarray) -> None:
-    for b in range(y.shape[0]):
-        lag1, offset, half, spacing = params[b]
-        d = (y[b, 0] + offset) / CHIP_M
-        to_x = np.pi / WAVELENGTH_M * half
-        x = to_x * y[b, 1]
-        s = _sinc(x)
-        ds = _sinc_slope(x)
-        r = _correlation(d, lag1)
-        split = _correlation(d - spacing, lag1) - _correlation(d + spacing, lag1)
-        split_slope = _slope(d - spacing, lag1) - _slope(d + spacing, lag1)
-        c, q = np.cos(2.0 * x), np.sin(2.0 * x)
-        J[b, :, :] = 0.0
-        J[b, 0, 1] = r * r * to_x * (2.0 * s * ds * c - 2.0 * s * s * q)
-        J[b, 1, 1] = r * r * to_x * (2.0 * s * ds * q + 2.0 * s * s * c)
-        J[b, 2, 0] = s * s * r * split_slope / CHIP_M
-        J[b, 2, 1] = 2.0 * s * ds * to_x * r * split
-
-
-@kernel
-def _jacobian_coherent(y: np.ndarray, params: np.ndarray, J: np.ndarray) -> None:
-    for b in range(y.shape[0]):
-        lag1, offset, half, spacing = params[b]
-        d = (y[b, 0] + offset) / CHIP_M
-        phase = 2.0 * np.pi * y[b, 1] / WAVELENGTH_M
-        to_x = np.pi / WAVELENGTH_M * half
-        x = to_x * y[b, 2]
-        s, s2 = _sinc(x), _sinc(2.0 * x)
-        r = _correlation(d, lag1)
-        split = _correlation(d - spacing, lag1) - _correlation(d + spacing, lag1)
-        split_slope = _slope(d - spacing, lag1) - _slope(d + spacing, lag1)
-        c, q = np.cos(phase), np.sin(phase)
-        J[b, :, :] = 0.0
-        J[b, 0, 1] = -r * s2 * q * 2.0 * np.pi / WAVELENGTH_M
-        J[b, 1, 1] = r * s2 * c * 2.0 * np.pi / WAVELENGTH_M
-        J[b, 0, 2] = r * c * _sinc_slope(2.0 * x) * 2.0 * to_x
-        J[b, 1, 2] = r * q * _sinc_slope(2.0 * x) * 2.0 * to_x
-        J[b, 2, 0] = s * s * r * split_slope / CHIP_M
-        J[b, 2, 2] = 2.0 * s * _sinc_slope(x) * to_x * r * split
