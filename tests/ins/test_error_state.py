@@ -111,7 +111,7 @@ def test_phase_rows_against_the_antenna():
     lever = np.array([1.5, -0.4, -2.0])
     w = C @ np.cross(RATE, lever)
     F = np.empty((28, 28))
-    system_matrix(R, C, FORCE, U, np.zeros_like(U), w, 3, 8, F)
+    system_matrix(R, C, FORCE, U, np.zeros_like(U), tuple(w), 3, 8, F)
     rows = F[FULL.phase]
     dv, psi, cd = RNG.standard_normal(3), 1e-6 * RNG.standard_normal(3), 0.3
     x = np.zeros(28)
@@ -127,7 +127,7 @@ def test_phase_rows_of_a_turning_line_of_sight():
     """p = -u(t) . r: for a constant position error only the turn of u moves the phase."""
     turn = 1.5e-4 * RNG.standard_normal((8, 3))
     F = np.empty((28, 28))
-    system_matrix(R, C, FORCE, U, turn, np.zeros(3), 3, 8, F)
+    system_matrix(R, C, FORCE, U, turn, (0.0, 0.0, 0.0), 3, 8, F)
     x = np.zeros(28)
     x[FULL.r] = [3.0, -1.0, 2.0]
     T = 1e-3
@@ -145,7 +145,9 @@ def exact(T, noise, layout=FULL):
     """Phi and Q by Van Loan's exponential (IEEE Trans. AC 23, 1978)."""
     n = layout.n
     F = np.empty((n, n))
-    system_matrix(R, C, FORCE, U, np.zeros_like(U), np.zeros(3), layout.n_scale, layout.n_phase, F)
+    system_matrix(
+        R, C, FORCE, U, np.zeros_like(U), (0.0, 0.0, 0.0), layout.n_scale, layout.n_phase, F
+    )
     G = np.zeros((n, n))
     for name, density in (
         ("v", noise.velocity),

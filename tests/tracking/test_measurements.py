@@ -4,25 +4,35 @@ import numpy as np
 import pytest
 
 from signals.codes import GPS_L1CA
-from signals.constants import C_MPS, CA_CHIP_RATE_HZ, GPS_L1_HZ
+from signals.constants import C_MPS, CA_CHIP_RATE_HZ, GPS_L1_HZ, OMEGA_EARTH
 from signals.correlator_model import ModelCorrelator
 from signals.nco import Nco
 from signals.propagation import SignalState
 from ultratight.tracking.half_bits import Bits, HalfBits
-from ultratight.tracking.measurements import (
-    LineOfSight,
-    coherent,
-    differential,
-)
+from ultratight.tracking.measurements import Amplitudes, measure
 from ultratight.tracking.steering import WAVELENGTH_M, new_steering
 from ultratight.tracking.tap_model import TapModel
 
 PRN, SPACING, CN0_DBHZ, HALF_S = 17, 0.25, 35.0, 0.01
 LAG1 = float(GPS_L1CA.autocorrelation(PRN)[1])
 A2 = 2.0 * 10 ** (CN0_DBHZ / 10.0) * HALF_S
-LOS = LineOfSight(
-    0.02, np.array([[1.0, 0.0, 0.0]]), np.zeros(3), np.zeros(3), np.eye(3), np.zeros(3)
-)
+T_S = 0.02
+LEVEL = new_steering(1, 0.005)
+"""The satellite ahead along x, no force, no lever arm"""
+LEVEL.u[0] = [1.0, 0.0, 0.0]
+
+
+def differential(bits, spacing=SPACING, clock_sf=0.0, steering=LEVEL, t_s=T_S):
+    """Model D of one channel."""
+    memory = Amplitudes(np.array([A2]), np.zeros(1, complex))
+    return measure(bits, steering, t_s, 17, 17, np.array([LAG1]), spacing, clock_sf, memory)
+
+
+def coherent(bits, spacing=SPACING, clock_sf=0.0, steering=LEVEL, t_s=T_S):
+    """Model C of one channel, all data bits +1."""
+    memory = Amplitudes(np.array([A2]), np.zeros(1, complex))
+    data = np.ones((1, 10_000), np.int8)
+    return measure(bits, steering, t_s, 18, 17, np.array([LAG1]), spacing, clock_sf, memory, data)
 
 
 def taps(dr, dv, p=0.0, n_bit=1, noise=False, seed=1, spacing=SPACING):
@@ -64,10 +74,7 @@ def bits(found):
 def measured(dr, dv, p=0.0):
     paired = bits(taps(dr, dv, p))
     assert paired.number.tolist() == [0]
-    a2, lag1 = np.array([A2]), np.array([LAG1])
-    d = differential(paired, LOS, 17, lag1, SPACING, a2, 0.0)
-    c = coherent(paired, LOS, 18, 17, np.ones(1), lag1, SPACING, a2)
-    return d, c
+    return differential(paired), coherent(paired)
 
 
 @pytest.mark.parametrize(
@@ -123,12 +130,8 @@ def test_noise_of_the_measurements_is_that_of_R(spacing):
     """Variance of z over 4000 bits against R, at spacings where a slip in one shows in another."""
     n = 4000
     paired = bits(taps(0.0, 0.0, n_bit=n, noise=True, spacing=spacing))
-    a2, lag1 = np.array([A2]), np.array([LAG1])
     assert paired.channel.size >= n - 2
-    for found in (
-        differential(paired, LOS, 17, lag1, spacing, a2, 0.0),
-        coherent(paired, LOS, 18, 17, np.ones(paired.channel.size), lag1, spacing, a2),
-    ):
+    for found in (differential(paired, spacing), coherent(paired, spacing)):
         # 4 standard errors of a variance; S is a product of two noises with more kurtosis: 6
         ratio = found.z.var(axis=0) / np.diag(found.R[0])
         np.testing.assert_allclose(ratio, 1.0, atol=6.0 * np.sqrt(2.0 / n))
@@ -137,9 +140,8 @@ def test_noise_of_the_measurements_is_that_of_R(spacing):
 def test_oscillator_noise_enters_the_differential_phase():
     """White frequency noise turns one half against the other: (2 pi / lambda)^2 S_f 2 T_h / 3."""
     paired = bits(taps(0.0, 0.0))
-    a2, lag1 = np.array([A2]), np.array([LAG1])
-    quiet = differential(paired, LOS, 17, lag1, SPACING, a2, 0.0).R[0, 1, 1]
-    noisy = differential(paired, LOS, 17, lag1, SPACING, a2, 4.5e-5).R[0, 1, 1]
+    quiet = differential(paired).R[0, 1, 1]
+    noisy = differential(paired, clock_sf=4.5e-5).R[0, 1, 1]
     rng = np.random.default_rng(2)
     steps = rng.standard_normal((20_000, 200)) * np.sqrt(4.5e-5 * 1e-4)
     path = np.cumsum(steps, axis=1)
@@ -156,12 +158,14 @@ def test_projection_is_the_derivative_of_range_and_rate_at_the_middle_of_the_bit
     u /= np.linalg.norm(u)
     t, t_mid = 3.0, 2.984
     paired = Bits(
-        np.array([0]), np.array([0]), np.array([t_mid]), np.array([HALF_S]),
-        np.ones((1, 2, 3), complex), np.zeros(1),
-    )  # fmt: skip
-    arm_rate = np.array([0.4, -0.2, 0.7])
-    los = LineOfSight(t, u[None], C @ arm_b, arm_rate, C, C @ force_b)
-    A = coherent(paired, los, 18, 17, np.ones(1), np.array([LAG1]), SPACING, np.array([A2])).A[0]
+        np.array([0]), np.array([0]), np.array([[t_mid, HALF_S, 0.0]]), np.ones((1, 2, 3), complex)
+    )
+    turn_b = np.array([0.3, -0.8, 0.5])  # rad/s against inertial space
+    s = new_steering(1, 0.005)
+    s.C_b_e[:], s.lever_arm_b[:], s.mean_force[0], s.u[0] = C, arm_b, force_b, u
+    s.last_alpha[:] = turn_b * 0.005
+    arm_rate = np.cross(C @ turn_b - [0.0, 0.0, OMEGA_EARTH], C @ arm_b)
+    A = coherent(paired, steering=s, t_s=t).A[0]
     back = t_mid - t
 
     def errors(x):
@@ -186,3 +190,25 @@ def test_a_half_that_lost_its_partner_is_dropped():
     keep[1] = False  # second half of bit 0
     pruned = type(found)(*(a[keep] for a in found))
     assert bits(pruned).number.tolist() == [1, 2]
+
+
+def test_model_c_without_the_data_bit_is_refused():
+    paired = bits(taps(0.0, 0.0))
+    memory = Amplitudes(np.array([A2]), np.zeros(1, complex))
+    rest = (np.array([LAG1]), SPACING, 0.0, memory)
+    with pytest.raises(ValueError, match="data_bits: none for bit 0 of channel 0"):
+        measure(paired, LEVEL, T_S, 18, 17, *rest)
+    with pytest.raises(ValueError, match="data_bits: none for bit 0 of channel 0"):
+        measure(paired, LEVEL, T_S, 18, 17, *rest, np.ones((1, 5), np.int8), 1)
+
+
+def test_amplitude_follows_the_power_of_the_prompts():
+    """Two halves of power a: A^2 goes 2 % of the way to a - 2 (the noise of I and Q)."""
+    iq = np.zeros((1, 2, 3), complex)
+    iq[0, :, 1] = [3.0 + 4.0j, 5.0j]
+    paired = Bits(np.array([0]), np.array([0]), np.array([[0.01, HALF_S, 0.0]]), iq)
+    memory = Amplitudes(np.array([100.0]), np.zeros(1, complex))
+    data = -np.ones((1, 1), np.int8)
+    measure(paired, LEVEL, T_S, 17, 17, np.array([LAG1]), SPACING, 0.0, memory, data)
+    assert memory.amplitude2[0] == pytest.approx(100.0 + 0.02 * (25.0 - 2.0 - 100.0))
+    assert memory.prompt[0] == -(3.0 + 9.0j)

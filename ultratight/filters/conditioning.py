@@ -130,7 +130,7 @@ def _project(
     S: np.ndarray,
     e: np.ndarray,
 ) -> None:
-    """Of the rows from ``first`` on: W (k, n) = H P, lower S (k, k) = W H' + noise, e = nu - H x."""
+    """Of the rows from ``first`` on: W (k, n) = H P, lower S (k, k) = W H' + noise, e."""
     n = x.size
     for q in range(W.shape[0]):
         s = nu[first + q]
@@ -270,3 +270,24 @@ def gain_matrix(S: np.ndarray, H: np.ndarray, cov: np.ndarray) -> tuple[np.ndarr
             W[q, a] *= L[q, q]
             K[a, q] = W[q, a]
     return K, log_det
+
+
+@kernel(fastmath=FAST_SUM)
+def innovation_variance(H: np.ndarray, cov: np.ndarray, noise: np.ndarray, out: np.ndarray) -> None:
+    """Diagonal of S (m,), see `innovation_cov`."""
+    k = noise.shape[1]
+    for q in range(H.shape[0]):
+        out[q] = noise[q // k, q % k, q % k] + quadratic_form(H[q], cov)
+
+
+@kernel(fastmath=FAST_SUM)
+def quadratic_form(h: np.ndarray, P: np.ndarray) -> float:
+    """h P h' for a mostly zero h (n,)."""
+    total = 0.0
+    for c in range(h.size):
+        if h[c] != 0.0:
+            s = 0.0
+            for a in range(h.size):
+                s += P[c, a] * h[a]
+            total += h[c] * s
+    return total

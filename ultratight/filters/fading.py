@@ -30,6 +30,7 @@ from typing import Any
 import numpy as np
 
 from signals.compiled import FAST_SUM, kernel
+from ultratight.filters.conditioning import quadratic_form
 from ultratight.filters.gaussian import Gaussian, Measurement, Prediction, Update, predict, update
 from ultratight.filters.rules import Rule
 
@@ -235,23 +236,16 @@ def _gate_is_open(
     a: float,
 ) -> bool:
     """sum (V_qq - S_qq) > sigmas sqrt(2 sum S_qq^2 a / (2 - a)) over rows with information."""
-    m, n = H.shape
+    m = H.shape[0]
     size = noise.shape[1]
     excess, spread = 0.0, 0.0
     for first in range(0, m, k):
         reference = _information(cov, q, inflated, H[first + row])
         for i in range(first, first + k):
-            if i != first + row:
-                if not _information(cov, q, inflated, H[i]) > 1e-3 * reference:
-                    continue
-            S = noise[i // size, i % size, i % size]
-            for c in range(n):
-                g = H[i, c]
-                if g != 0.0:
-                    s = 0.0
-                    for e in range(n):
-                        s += cov[c, e] * H[i, e]
-                    S += g * s
+            known = i == first + row or _information(cov, q, inflated, H[i]) > 1e-3 * reference
+            if not known:
+                continue
+            S = noise[i // size, i % size, i % size] + quadratic_form(H[i], cov)
             excess += V[i, i] - S
             spread += S * S
     return excess > sigmas * np.sqrt(2.0 * spread * a / (2.0 - a))

@@ -22,6 +22,7 @@ from ultratight.filters.conditioning import (
     condition_on,
     gain_matrix,
     innovation_cov,
+    innovation_variance,
     predict_into,
 )
 from ultratight.filters.rules import Rule
@@ -105,6 +106,15 @@ class Update:
             H, prior_cov, noise = self._evidence("S")
             self._S = innovation_cov(H, prior_cov, noise)
         return self._S
+
+    @property
+    def variance(self) -> np.ndarray:
+        """(m,) diagonal of S, for a fraction of its cost."""
+        if self._S is not None:
+            return np.diag(self._S)
+        out = np.empty(self.innovation.size)
+        innovation_variance(*self._evidence("S"), out)
+        return out
 
     @property
     def gain(self) -> np.ndarray:

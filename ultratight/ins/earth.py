@@ -99,13 +99,19 @@ def gravity_gradient(r: np.ndarray) -> np.ndarray:
 
     The J2 part, below 1e-8 1/s2, is left out: over a fix interval it is nothing.
     """
+    G = np.empty((3, 3))
+    gravity_gradient_into(r, G)
+    return G
+
+
+@borrowing
+def gravity_gradient_into(r: np.ndarray, G: np.ndarray) -> None:
+    """`gravity_gradient` written to G (3, 3)."""
     r2 = r[0] * r[0] + r[1] * r[1] + r[2] * r[2]
     k = GM_EARTH / (r2 * math.sqrt(r2))
-    G = np.empty((3, 3))
     for i in range(3):
         for j in range(3):
             G[i, j] = 3.0 * k * r[i] * r[j] / r2
         G[i, i] -= k
     G[0, 0] += OMEGA_EARTH * OMEGA_EARTH
     G[1, 1] += OMEGA_EARTH * OMEGA_EARTH
-    return G

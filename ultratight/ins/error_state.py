@@ -23,12 +23,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from signals.compiled import kernel
+from signals.compiled import borrowing
 from signals.constants import OMEGA_EARTH
-from ultratight.ins.earth import gravity_gradient
+from ultratight.ins.earth import gravity_gradient_into
 
 R, V, PSI, ACCEL_BIAS, GYRO_BIAS, CB, CD, SCALE_FACTOR = 0, 3, 6, 9, 12, 15, 16, 17
 """First rows of the blocks, for kernels; the phases follow the scale factors, if any."""
+CLOCK_SF, CLOCK_SG, SCALE, PHASE = 4, 5, 6, 7
+"""Where `ProcessNoise` has them; before them the blocks from V on"""
 
 
 @dataclass(frozen=True)
@@ -118,35 +120,38 @@ def transition(
     """
     if layout.n_phase > u.shape[0]:
         raise ValueError(f"u of shape {u.shape}: expected ({layout.n_phase}, 3) or more rows")
-    w = np.zeros(3) if antenna_velocity_e is None else antenna_velocity_e
+    w = (0.0, 0.0, 0.0) if antenna_velocity_e is None else tuple(map(float, antenna_velocity_e))
     du = np.zeros(u.shape) if u_rate is None else u_rate
     Phi, Q = np.empty((layout.n, layout.n)), np.empty((layout.n, layout.n))
-    _transition(r_eb_e, C_b_e, f_ib_b, T, u, du, w, layout.n_scale, layout.n_phase, noise, Phi, Q)
+    densities = np.array(noise, dtype=np.float64)
+    work = np.empty((layout.n + 1, layout.n))
+    transition_into(
+        r_eb_e, C_b_e, f_ib_b, T, u, du, w, layout.n_scale, layout.n_phase, densities, work, Phi, Q
+    )
     return Phi, Q
 
 
 # --- kernels --------------------------------------------------------------------------------
 
 
-@kernel
+@borrowing
 def system_matrix(
     r: np.ndarray,
     C: np.ndarray,
     f: np.ndarray,
     u: np.ndarray,
     du: np.ndarray,
-    w: np.ndarray,
+    w: tuple[float, float, float],
     n_scale: int,
     n_phase: int,
     F: np.ndarray,
 ) -> None:
     """Write F (n, n) of x' = F x; see `transition` for the arguments."""
     F[:] = 0.0
-    G = gravity_gradient(r)
+    gravity_gradient_into(r, F[V : V + 3, R : R + 3])
     for i in range(3):
         F[R + i, V + i] = 1.0
         for j in range(3):
-            F[V + i, R + j] = G[i, j]
             F[V + i, ACCEL_BIAS + j] = -C[i, j]
             F[PSI + i, GYRO_BIAS + j] = -C[i, j]
             if n_scale:
@@ -172,26 +177,29 @@ def system_matrix(
         F[p + i, CD] = 1.0
 
 
-@kernel
-def _transition(
+@borrowing
+def transition_into(
     r: np.ndarray,
     C: np.ndarray,
     f: np.ndarray,
     T: float,
     u: np.ndarray,
     du: np.ndarray,
-    w: np.ndarray,
+    w: tuple[float, float, float],
     n_scale: int,
     n_phase: int,
-    noise: ProcessNoise,
+    density: np.ndarray,
+    work: np.ndarray,
     Phi: np.ndarray,
     Q: np.ndarray,
 ) -> None:
-    """Phi and Q (n, n); F is sparse, and both products walk over its entries only."""
+    """Phi and Q (n, n); density: a `ProcessNoise` as array; work (n + 1, n).
+
+    F is sparse, and both products walk over its entries only.
+    """
     n = Phi.shape[0]
-    F = np.empty((n, n))
+    F, column = work[:n], work[n]
     system_matrix(r, C, f, u, du, w, n_scale, n_phase, F)
-    first_phase = SCALE_FACTOR + n_scale
     for i in range(n):
         for j in range(n):
             Phi[i, j] = F[i, j] * T
@@ -202,57 +210,42 @@ def _transition(
                 for j in range(n):
                     Phi[i, j] += a * F[k, j]
 
+    first_phase = SCALE_FACTOR + n_scale
     Q[:] = 0.0
-    column = np.empty(n)
-    rows = np.empty(n, np.int64)
     for k in range(n + 1):
         # column k of Phi sqrt(G); the last is S_f, which enters the clock and every phase alike
         if k == n:
-            g = noise.clock_sf
+            g = density[CLOCK_SF]
             for i in range(n):
                 column[i] = Phi[i, CB]
                 for j in range(first_phase, n):
                     column[i] += Phi[i, j]
         else:
-            g = _density(k, n_scale, noise)
+            g = _density(k, n_scale, density)
             for i in range(n):
                 column[i] = Phi[i, k]
         if g == 0.0:
             continue
-        m = 0
         for i in range(n):
             if column[i] != 0.0:
-                rows[m] = i
-                m += 1
-        for a in range(m):
-            for b in range(m):
-                # in this order the two halves of Q get the same bits
-                Q[rows[a], rows[b]] += 0.5 * T * g * (column[rows[a]] * column[rows[b]])
+                for j in range(n):
+                    # in this order the two halves of Q get the same bits
+                    Q[i, j] += 0.5 * T * g * (column[i] * column[j])
         if k < n:
             Q[k, k] += 0.5 * T * g
     for i in range(CB, n):
         for j in range(CB, n):
             if (i == CB or i >= first_phase) and (j == CB or j >= first_phase):
-                Q[i, j] += 0.5 * T * noise.clock_sf
+                Q[i, j] += 0.5 * T * density[CLOCK_SF]
 
 
-@kernel
-def _density(k: int, n_scale: int, noise: ProcessNoise) -> float:
+@borrowing
+def _density(k: int, n_scale: int, density: np.ndarray) -> float:
     """Diagonal of G, without the clock's S_f."""
-    if k < V:
+    if k < V or k == CB:
         return 0.0
-    if k < PSI:
-        return noise.velocity
-    if k < ACCEL_BIAS:
-        return noise.attitude
-    if k < GYRO_BIAS:
-        return noise.accel_bias
     if k < CB:
-        return noise.gyro_bias
-    if k == CB:
-        return 0.0
+        return density[(k - V) // 3]  # velocity, attitude, accelerometer and gyro bias
     if k == CD:
-        return noise.clock_sg
-    if k < SCALE_FACTOR + n_scale:
-        return noise.scale_factor
-    return noise.phase
+        return density[CLOCK_SG]
+    return density[SCALE] if k < SCALE_FACTOR + n_scale else density[PHASE]

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from signals.compiled import borrowing
 from ultratight.filters.gaussian import Measurement, Update
 
 SMOOTHING_S = 0.4
@@ -37,24 +38,25 @@ class LockMonitor:
         self.quadrature: list[float] = []
 
     def watch(
-        self, t_s: float, channel: np.ndarray, in_phase: np.ndarray
+        self, t_s: float, channel: np.ndarray, z: np.ndarray
     ) -> list[tuple[float, int, str, str]]:
-        """Take in one epoch; return the events (t_s, channel, kind, reason) that it caused."""
-        events = []
-        if channel.size:
-            self.mean_now = float(in_phase.mean())
+        """Take in one epoch, z (nb, 3) with I first; return the events that it caused.
+
+        An event: (t_s, channel, kind, reason).
+        """
+        events, row, n = [], 0, channel.size
+        while row < n:
+            row, mean = _follow(channel, z, row, self.gain, self.indicator, self.locked)
+            self.mean_now = mean
+            if row == n:
+                break
+            i = int(channel[row])
+            if not self.locked[i] and np.isnan(self.first_lost_s[i]):
+                self.first_lost_s[i] = t_s
+            kind = "lock regained" if self.locked[i] else "loss of lock"
+            events.append((t_s, i, kind, f"lock indicator {self.indicator[i]:.2f}"))
+            row += 1
         self.low = self.low + 1 if self.mean_now < LOST_BELOW else 0
-        for i, now in zip(channel, np.clip(in_phase, -2.0, 2.0), strict=True):
-            self.indicator[i] += self.gain * (now - self.indicator[i])
-            value = self.indicator[i]
-            if self.locked[i] and value < LOST_BELOW:
-                self.locked[i] = False
-                if np.isnan(self.first_lost_s[i]):
-                    self.first_lost_s[i] = t_s
-                events.append((t_s, int(i), "loss of lock", f"lock indicator {value:.2f}"))
-            elif not self.locked[i] and value > FOUND_ABOVE:
-                self.locked[i] = True
-                events.append((t_s, int(i), "lock regained", f"lock indicator {value:.2f}"))
         return events
 
     def lose_all(self, t_s: float) -> None:
@@ -67,13 +69,46 @@ class LockMonitor:
         k = measurement.z.shape[1]
         nu = update.innovation[1::k]
         if nu.size:
-            self.quadrature.append(float(np.mean(nu**2 / np.diag(update.S)[1::k])))
+            square = nu * nu / update.variance[1::k]
+            self.quadrature.append(float(square.sum()) / nu.size)
             del self.quadrature[: -self.window]
 
     def loss(self) -> str:
         """Why the receiver as a whole has lost phase lock; empty while it has not."""
         if self.low >= self.window:
             return f"mean in-phase below {LOST_BELOW} for {FALL_BACK_AFTER_S} s"
-        if len(self.quadrature) >= self.window and np.mean(self.quadrature) > NIS_LIMIT:
+        if len(self.quadrature) >= self.window and sum(self.quadrature) > NIS_LIMIT * self.window:
             return f"quadrature NIS above {NIS_LIMIT} over {FALL_BACK_AFTER_S} s"
         return ""
+
+
+# ---- kernels ---------------------------------------------------------------------------------
+
+
+@borrowing
+def _follow(
+    channel: np.ndarray,
+    z: np.ndarray,
+    first: int,
+    gain: float,
+    indicator: np.ndarray,
+    locked: np.ndarray,
+) -> tuple[int, float]:
+    """Let the indicators follow z (nb, 3) from row ``first`` to the next change of lock.
+
+    Returns that row (nb: none) and the mean of all in-phase measurements.
+    """
+    nb = channel.size
+    mean = 0.0
+    for b in range(nb):
+        mean += z[b, 0] / nb
+    for b in range(first, nb):
+        i = channel[b]
+        indicator[i] += gain * (min(max(z[b, 0], -2.0), 2.0) - indicator[i])
+        if locked[i] and indicator[i] < LOST_BELOW:
+            locked[i] = False
+            return b, mean
+        if not locked[i] and indicator[i] > FOUND_ABOVE:
+            locked[i] = True
+            return b, mean
+    return nb, mean

@@ -23,173 +23,213 @@ A known rotation between NCO and reference (`steering`) is taken out of the taps
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
-from signals.compiled import kernel
+from signals.compiled import borrowing
 from ultratight.filters.gaussian import Measurement
-from ultratight.tracking.half_bits import EARLY, LATE, PROMPT, Bits
-from ultratight.tracking.steering import WAVELENGTH_M
+from ultratight.tracking.half_bits import EARLY, HALF, LATE, PROMPT, RANGE, T_MID, Bits
+from ultratight.tracking.steering import WAVELENGTH_M, Steering, lever, views
 from ultratight.tracking.tap_model import TapModel, correlation
 
-
-class LineOfSight(NamedTuple):
-    """Geometry of the epoch and where the error state keeps what."""
-
-    t_s: float
-    u: np.ndarray  # (n_channel, 3) antenna -> satellite
-    arm_e: np.ndarray  # (3,) lever arm in ECEF [m]
-    arm_rate_e: np.ndarray  # (3,) velocity of the antenna with respect to the IMU [m/s]
-    C_b_e: np.ndarray  # (3, 3)
-    force_e: np.ndarray  # (3,) mean specific force in ECEF [m/s2]
+AMPLITUDE_GAIN = 0.02
+"""Share of each bit in the running A^2: a time constant of 1 s"""
+AMPLITUDE2_FLOOR = 0.5
+RADIANS_PER_M = 2.0 * math.pi / WAVELENGTH_M
+NO_BITS = np.zeros((0, 0), dtype=np.int8)
 
 
-def differential(
+class Amplitudes(NamedTuple):
+    """What is believed of each channel's prompt; follows the bits that `measure` is given."""
+
+    amplitude2: np.ndarray  # (n_channel,) A^2
+    prompt: np.ndarray  # (n_channel,) complex: the last bit's, data wiped off where they are known
+
+
+def measure(
     bits: Bits,
-    los: LineOfSight,
-    n_state: int,
-    lag1: np.ndarray,
-    spacing_chips: float,
-    amplitude2: np.ndarray,
-    clock_sf: float,
-) -> Measurement:
-    """Model D.  lag1 (n_channel,): R at one chip; amplitude2 (n_channel,): A^2; clock_sf: S_f."""
-    nb = bits.channel.size
-    z, R, A = np.empty((nb, 3)), np.zeros((nb, 3, 3)), np.zeros((nb, 2, n_state))
-    params = np.empty((nb, 4))
-    _build(bits, los, lag1, spacing_chips, params, A, 1)
-    _z_differential(bits.iq, bits.channel, params, amplitude2, clock_sf, z, R)
-    model = TapModel(params)
-    return Measurement(z, A, R, model, model.jacobian, bits.channel)
-
-
-def coherent(
-    bits: Bits,
-    los: LineOfSight,
+    steering: Steering,
+    t_s: float,
     n_state: int,
     phase_start: int,
-    data: np.ndarray,
     lag1: np.ndarray,
     spacing_chips: float,
-    amplitude2: np.ndarray,
-    clock_sf: float = 0.0,
+    clock_sf: float,
+    amplitudes: Amplitudes,
+    data_bits: np.ndarray | None = None,
+    first_bit: int = 0,
 ) -> Measurement:
-    """Model C.  phase_start: first row of the channel phases; data (nb,): known bits of +-1."""
-    nb = bits.channel.size
-    z, R, A = np.empty((nb, 3)), np.zeros((nb, 3, 3)), np.zeros((nb, 3, n_state))
+    """Measurement of the error state at receiver time t_s, and amplitudes that have followed.
+
+    Parameters
+    ----------
+    n_state, phase_start : number of states and first row of the channel phases; without phases
+        (phase_start = n_state) it is model D, else model C.
+    lag1 : (n_channel,) R at one chip.
+    clock_sf : density S_f of the clock's white frequency noise [m2/s].
+    data_bits : (n_channel, n_bit) int8 of +-1 from bit ``first_bit`` on; model C needs them.
+
+    Raises
+    ------
+    ValueError : model C without the data bit of a channel.
+    """
+    nb, d = bits.channel.size, 2 if phase_start == n_state else 3
+    z, A, R = np.empty((nb, 3)), np.empty((nb, d, n_state)), np.empty((nb, 3, 3))
     params = np.empty((nb, 4))
-    _build(bits, los, lag1, spacing_chips, params, A, 2)
-    _phase_rows(bits.channel, bits.t_mid_s - los.t_s, los.u, los.arm_e, phase_start, A)
-    _z_coherent(bits.iq, bits.channel, data, params, amplitude2, z, R)
-    # The covariance holds the clock's white frequency noise up to t; a bit that was centred at
-    # t_mid has not met the last of it, and met its own share as a mean over two halves.
-    unmet = clock_sf * (los.t_s - bits.t_mid_s - bits.half_s / 6.0)
-    R[:, 1, 1] -= np.minimum((2.0 * np.pi / WAVELENGTH_M) ** 2 * unmet, 0.5 * R[:, 1, 1])
+    missing = _measure(
+        bits.channel, bits.number, bits.span, bits.iq, steering.buffer, t_s, phase_start, lag1,
+        spacing_chips, clock_sf, amplitudes.amplitude2, amplitudes.prompt,
+        NO_BITS if data_bits is None else data_bits, first_bit, params, z, A, R,
+    )  # fmt: skip
+    if missing >= 0:
+        raise ValueError(
+            f"receiver.knows.data_bits: none for bit {bits.number[missing]} of channel "
+            f"{bits.channel[missing]}: the coherent model needs them"
+        )
     model = TapModel(params)
     return Measurement(z, A, R, model, model.jacobian, bits.channel)
 
 
-@kernel
-def _build(
-    bits: Bits,
-    los: LineOfSight,
+# ---- kernels ---------------------------------------------------------------------------------
+
+
+@borrowing
+def _measure(
+    channel: np.ndarray,
+    number: np.ndarray,
+    span: np.ndarray,
+    iq: np.ndarray,
+    buffer: np.ndarray,
+    t_s: float,
+    phase_start: int,
     lag1: np.ndarray,
     spacing: float,
+    clock_sf: float,
+    amplitude2: np.ndarray,
+    prompt: np.ndarray,
+    data_bits: np.ndarray,
+    first_bit: int,
     params: np.ndarray,
+    z: np.ndarray,
     A: np.ndarray,
-    rate_row: int,
-) -> None:
-    """Rows of range (0) and rate (rate_row) of each bit, and the parameters of h."""
-    accel = los.force_e
-    for b in range(bits.channel.size):
-        i = bits.channel[b]
-        params[b, 0] = lag1[i]
-        params[b, 1] = bits.range_offset_m[b]
-        params[b, 2] = bits.half_s[b]
-        params[b, 3] = spacing
-        u = los.u[i]
-        dt = bits.t_mid_s[b] - los.t_s
-        # error at t_mid from the state at t: y = A Phi(dt) x, gravity gradient left out
-        tilt = np.cross(accel, u)  # d/d psi of -u.(psi x f) is -(f x u)
-        arm = np.cross(los.arm_e, u)
-        arm_rate = np.cross(los.arm_rate_e, u)
-        for k in range(3):
-            A[b, 0, k] = -u[k]
-            A[b, 0, 3 + k] = -u[k] * dt
-            A[b, 0, 6 + k] = -arm[k] - dt * arm_rate[k] - 0.5 * dt * dt * tilt[k]
-            A[b, rate_row, 3 + k] = -u[k]
-            A[b, rate_row, 6 + k] = -arm_rate[k] - dt * tilt[k]
-            lever = los.C_b_e[0, k] * u[0] + los.C_b_e[1, k] * u[1] + los.C_b_e[2, k] * u[2]
-            A[b, 0, 9 + k] = 0.5 * dt * dt * lever
-            A[b, rate_row, 9 + k] = dt * lever
-        A[b, 0, 15] = 1.0
-        A[b, 0, 16] = dt
-        A[b, rate_row, 16] = 1.0
-
-
-@kernel
-def _phase_rows(
-    channel: np.ndarray, dt: np.ndarray, u: np.ndarray, arm: np.ndarray, first: int, A: np.ndarray
-) -> None:
-    """Row 1: the carrier-phase error at t_mid; it moves like the range, without its level."""
+    R: np.ndarray,
+) -> int:
+    """Fill params, z, A and R; returns the row whose data bit is missing, -1 for none."""
+    s = views(buffer, amplitude2.size)
+    R[:] = 0.0
     for b in range(channel.size):
-        A[b, 1, 3:12] = A[b, 0, 3:12]
-        A[b, 1, 6:9] += np.cross(arm, u[channel[b]])
-        A[b, 1, 16] = dt[b]
-        A[b, 1, first + channel[b]] = 1.0
+        i = channel[b]
+        params[b, 0] = lag1[i]
+        params[b, 1] = span[b, RANGE]
+        params[b, 2] = span[b, HALF]
+        params[b, 3] = spacing
+        dt = span[b, T_MID] - t_s
+        _range_rows(s, i, dt, A[b])
+        data, column = 0.0, number[b] - first_bit
+        if 0 <= column < data_bits.shape[1]:
+            data = float(data_bits[i, column])
+        if A.shape[1] == 2:
+            _differential(iq[b], amplitude2[i], span[b, HALF], clock_sf, z[b], R[b])
+        else:
+            if data == 0.0:
+                return b
+            _phase_row(s, i, dt, phase_start + i, A[b])
+            unmet = clock_sf * (-dt - span[b, HALF] / 6.0)
+            _coherent(iq[b], data, amplitude2[i], unmet, z[b], R[b])
+        half = 1.0 - correlation(2.0 * spacing, lag1[i])
+        z[b, 2], R[b, 2, 2] = _split(iq[b], half, amplitude2[i])
+        if data != 0.0:
+            prompt[i] = data * (iq[b, 0, PROMPT] + iq[b, 1, PROMPT])
+    for b in range(channel.size):
+        i = channel[b]
+        power = 0.5 * (_norm2(iq[b, 0, PROMPT]) + _norm2(iq[b, 1, PROMPT])) - 2.0
+        follow = amplitude2[i] + AMPLITUDE_GAIN * (power - amplitude2[i])
+        amplitude2[i] = max(follow, AMPLITUDE2_FLOOR)
+    return -1
 
 
-@kernel
-def _split(
-    first: np.ndarray, second: np.ndarray, params: np.ndarray, a2: float
-) -> tuple[float, float]:
+@borrowing
+def _norm2(x: complex) -> float:
+    return x.real * x.real + x.imag * x.imag
+
+
+@borrowing
+def _range_rows(s: Steering, i: int, dt: float, A: np.ndarray) -> None:
+    """Rows of range (first) and range rate (last) of channel i at t + dt, from the state at t.
+
+    y = A Phi(dt) x, gravity gradient left out.
+    """
+    rate = A.shape[0] - 1
+    C, f = s.C_b_e, s.mean_force
+    ux, uy, uz = s.u[i, 0], s.u[i, 1], s.u[i, 2]
+    x, y, w, vx, vy, vz = lever(s)
+    fx = C[0, 0] * f[0, 0] + C[0, 1] * f[0, 1] + C[0, 2] * f[0, 2]
+    fy = C[1, 0] * f[0, 0] + C[1, 1] * f[0, 1] + C[1, 2] * f[0, 2]
+    fz = C[2, 0] * f[0, 0] + C[2, 1] * f[0, 1] + C[2, 2] * f[0, 2]
+    # d/d psi of -u.(psi x f) is -(f x u), and so for the lever arm and its velocity
+    turn = (vy * uz - vz * uy, vz * ux - vx * uz, vx * uy - vy * ux)
+    arm = (y * uz - w * uy, w * ux - x * uz, x * uy - y * ux)
+    tilt = (fy * uz - fz * uy, fz * ux - fx * uz, fx * uy - fy * ux)
+    A[:] = 0.0
+    for k in range(3):
+        A[0, k] = -s.u[i, k]
+        A[0, 3 + k] = -s.u[i, k] * dt
+        A[0, 6 + k] = -arm[k] - dt * turn[k] - 0.5 * dt * dt * tilt[k]
+        A[rate, 3 + k] = -s.u[i, k]
+        A[rate, 6 + k] = -turn[k] - dt * tilt[k]
+        axis = C[0, k] * ux + C[1, k] * uy + C[2, k] * uz
+        A[0, 9 + k] = 0.5 * dt * dt * axis
+        A[rate, 9 + k] = dt * axis
+    A[0, 15] = 1.0
+    A[0, 16] = dt
+    A[rate, 16] = 1.0
+
+
+@borrowing
+def _phase_row(s: Steering, i: int, dt: float, state: int, A: np.ndarray) -> None:
+    """Row 1: the carrier-phase error at t + dt; it moves like the range, without its level."""
+    x, y, w, _, _, _ = lever(s)
+    ux, uy, uz = s.u[i, 0], s.u[i, 1], s.u[i, 2]
+    arm = (y * uz - w * uy, w * ux - x * uz, x * uy - y * ux)
+    for k in range(3, 12):
+        A[1, k] = A[0, k]
+    for k in range(3):
+        A[1, 6 + k] += arm[k]
+    A[1, 16] = dt
+    A[1, state] = 1.0
+
+
+@borrowing
+def _split(iq: np.ndarray, half: float, a2: float) -> tuple[float, float]:
     """S of two halves and its variance; L - E has 2 (1 - R(2 spacing)) per component and half."""
-    s1 = ((first[LATE] - first[EARLY]) * np.conj(first[PROMPT])).real
-    s2 = ((second[LATE] - second[EARLY]) * np.conj(second[PROMPT])).real
-    half = 1.0 - correlation(2.0 * params[3], params[0])
+    s1 = ((iq[0, LATE] - iq[0, EARLY]) * iq[0, PROMPT].conjugate()).real
+    s2 = ((iq[1, LATE] - iq[1, EARLY]) * iq[1, PROMPT].conjugate()).real
     return 0.5 * (s1 + s2) / a2, half * (1.0 / a2 + 2.0 / a2**2)
 
 
-@kernel
-def _z_differential(
-    iq: np.ndarray,
-    channel: np.ndarray,
-    params: np.ndarray,
-    amplitude2: np.ndarray,
-    clock_sf: float,
-    z: np.ndarray,
-    R: np.ndarray,
+@borrowing
+def _differential(
+    iq: np.ndarray, a2: float, half_s: float, clock_sf: float, z: np.ndarray, R: np.ndarray
 ) -> None:
-    for b in range(channel.size):
-        a2 = amplitude2[channel[b]]
-        first, second = iq[b, 0], iq[b, 1]
-        d = first[PROMPT] * np.conj(second[PROMPT]) / a2
-        z[b, 0] = d.real
-        z[b, 1] = d.imag
-        z[b, 2], R[b, 2, 2] = _split(first, second, params[b], a2)
-        r = 2.0 / a2 + 2.0 / a2**2
-        R[b, 0, 0] = r
-        # white frequency noise of the oscillator turns one half against the other
-        R[b, 1, 1] = r + (2.0 * np.pi / WAVELENGTH_M) ** 2 * clock_sf * (2.0 / 3.0) * params[b, 2]
+    turn = iq[0, PROMPT] * iq[1, PROMPT].conjugate() / a2
+    z[0], z[1] = turn.real, turn.imag
+    r = 2.0 / a2 + 2.0 / a2**2
+    R[0, 0] = r
+    # white frequency noise of the oscillator turns one half against the other
+    R[1, 1] = r + RADIANS_PER_M**2 * clock_sf * (2.0 / 3.0) * half_s
 
 
-@kernel
-def _z_coherent(
-    iq: np.ndarray,
-    channel: np.ndarray,
-    data: np.ndarray,
-    params: np.ndarray,
-    amplitude2: np.ndarray,
-    z: np.ndarray,
-    R: np.ndarray,
+@borrowing
+def _coherent(
+    iq: np.ndarray, data: float, a2: float, unmet: float, z: np.ndarray, R: np.ndarray
 ) -> None:
-    for b in range(channel.size):
-        a2 = amplitude2[channel[b]]
-        first, second = iq[b, 0], iq[b, 1]
-        p = data[b] * (first[PROMPT] + second[PROMPT]) / (2.0 * np.sqrt(a2))
-        z[b, 0] = p.real
-        z[b, 1] = -p.imag
-        z[b, 2], R[b, 2, 2] = _split(first, second, params[b], a2)
-        R[b, 0, 0] = 0.5 / a2
-        R[b, 1, 1] = 0.5 / a2
+    """The covariance holds the clock's white frequency noise up to t; a bit that was centred
+    before has not met the last of it, and met its own share as a mean over two halves: ``unmet``.
+    """
+    p = data * (iq[0, PROMPT] + iq[1, PROMPT]) / (2.0 * math.sqrt(a2))
+    z[0], z[1] = p.real, -p.imag
+    r = 0.5 / a2
+    R[0, 0] = r
+    R[1, 1] = r - min(RADIANS_PER_M**2 * unmet, 0.5 * r)

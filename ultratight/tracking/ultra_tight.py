@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from signals.codes import GPS_L1CA
+from signals.compiled import borrowing
 from signals.nco import Nco, Taps
 from ultratight.filters.gaussian import Filter, Gaussian, Measurement, Prediction, Update
-from ultratight.ins.error_state import Layout, ProcessNoise, transition
+from ultratight.ins.error_state import Layout, ProcessNoise, transition_into
 from ultratight.ins.imu import Increments
-from ultratight.tracking.half_bits import PROMPT, Bits, HalfBits
+from ultratight.tracking.half_bits import Bits, HalfBits
 from ultratight.tracking.knows import Knows
 from ultratight.tracking.lock import LockMonitor
-from ultratight.tracking.measurements import LineOfSight, coherent, differential
-from ultratight.tracking.steering import WAVELENGTH_M, antenna, feed_back, start, steer_epoch
+from ultratight.tracking.measurements import Amplitudes, measure
+from ultratight.tracking.steering import (
+    WAVELENGTH_M,
+    feed_back,
+    lever,
+    start,
+    steer_epoch,
+    views,
+)
 
 HALF_BIT_CHIPS = 10_230
 HALF_BIT_S = 0.01
@@ -66,13 +75,16 @@ class UltraTight:
         n = self.n_channel = knows.prn.size
         self.layout = Layout.build()
         self.noise: ProcessNoise = knows.process_noise
+        self._densities = np.array(self.noise)
         self.cov = knows.initial_covariance()
         self.steering, self.sky = start(knows, piece_s, settings.epoch_s)
         self.u_before = self.steering.u.copy()
+        self.no_phase = np.zeros(n)
         self.half_bits = HalfBits(n, 3)
         self.lag1 = np.array([GPS_L1CA.autocorrelation(int(p))[1] for p in knows.prn])
-        self.amplitude2 = 2.0 * 10.0 ** (knows.cn0_dbhz / 10.0) * HALF_BIT_S
-        self.prompt = np.zeros(n, dtype=np.complex128)
+        self.amplitudes = Amplitudes(
+            2.0 * 10.0 ** (knows.cn0_dbhz / 10.0) * HALF_BIT_S, np.zeros(n, dtype=np.complex128)
+        )
         self.lock = LockMonitor(n, settings.epoch_s)
         self.coherent = False
         self.diverged = False
@@ -97,7 +109,6 @@ class UltraTight:
         """Weigh what came against what was expected; feed the correction back."""
         bits = self.bits = self.half_bits.pair(taps, self.steering)
         measurement = self._measurement(bits)
-        self.half_bits.track(bits, self.amplitude2)
         prediction = self._prediction()
         n = prediction.phi.shape[0]
         try:
@@ -110,24 +121,23 @@ class UltraTight:
                 f"{type(self.filter).__name__}.step gave {type(u).__name__}, expected an "
                 "ultratight.filters.gaussian.Update"
             )
-        if not (np.isfinite(u.mean).all() and np.isfinite(u.cov).all()):
+        mean, cov = np.ascontiguousarray(u.mean), np.ascontiguousarray(u.cov)
+        if not _is_finite(mean, cov):
             self._give_up("the filter's estimate is not finite")
             return
-        self.update = u
-        self.cov = u.cov
-        phase_m = u.mean[self.layout.phase] if self.coherent else np.zeros(self.n_channel)
-        self._feed_back(u.mean, phase_m)
+        self.update, self.cov = u, cov
+        self._feed_back(mean, mean[self.layout.phase] if self.coherent else self.no_phase)
         if self._is_absurd():
             self._give_up("estimated velocity or clock drift beyond any receiver's")
             return
-        self.events += self.lock.watch(self.t_s, bits.channel, measurement.z[:, 0])
+        self.events += self.lock.watch(self.t_s, bits.channel, measurement.z)
         self._choose_model(u, measurement)
         self.epoch += 1
 
     def _is_absurd(self) -> bool:
         s = self.steering
         return bool(
-            np.linalg.norm(s.v_eb_e) > ABSURD_SPEED_MPS or abs(s.clock[1]) > ABSURD_DRIFT_MPS
+            math.hypot(*s.v_eb_e.tolist()) > ABSURD_SPEED_MPS or abs(s.clock[1]) > ABSURD_DRIFT_MPS
         )
 
     def _give_up(self, reason: str) -> None:
@@ -137,39 +147,26 @@ class UltraTight:
         self.events.append((self.t_s, -1, "diverged", reason))
 
     def _measurement(self, bits: Bits) -> Measurement:
-        s, k = self.steering, self.knows
-        arm = s.C_b_e @ k.lever_arm_b_m
-        los = LineOfSight(self.t_s, s.u, arm, self._arm_rate(), s.C_b_e, s.C_b_e @ s.mean_force[0])
-        shared = (self.lag1, self.spacing_chips, self.amplitude2)
-        data = k.bits_of(bits.channel, bits.number)
-        if data is not None and bits.channel.size:
-            self.prompt[bits.channel] = data * bits.iq[:, :, PROMPT].sum(axis=1)
-        if not self.coherent:
-            return differential(bits, los, self.layout.n, *shared, self.noise.clock_sf)
-        if data is None:
-            raise ValueError("receiver.knows.data_bits: the coherent model needs them")
-        return coherent(
-            bits, los, self.layout.n, self.layout.phase.start, data, *shared, self.noise.clock_sf
-        )
+        k, layout = self.knows, self.layout
+        return measure(
+            bits, self.steering, self.t_s, layout.n, layout.phase.start, self.lag1,
+            self.spacing_chips, self.noise.clock_sf, self.amplitudes, k.data_bits, k.first_bit,
+        )  # fmt: skip
 
     def _prediction(self) -> Prediction:
-        s = self.steering
-        phi, q = transition(
-            self.layout, self.noise, s.r_eb_e, s.C_b_e, s.mean_force[0], s.u,
-            self.settings.epoch_s, self._arm_rate(), (s.u - self.u_before) / self.settings.epoch_s,
+        s, n, T = self.steering, self.layout.n, self.settings.epoch_s
+        phi, q, force = np.empty((n, n)), np.empty((n, n)), np.empty((2, 3))
+        work = np.empty((n + 1, n))
+        _transition(
+            s.buffer, T, self.u_before, self.layout.n_scale, self.layout.n_phase,
+            self._densities, work, phi, q, force,
         )  # fmt: skip
-        self.u_before[:] = s.u
+        if self.epoch == 0:
+            force[1] = 0.0
         return Prediction(
-            phi, q, self.t_s, self.epoch, self.settings.epoch_s, s.mean_force[0].copy(),
-            s.mean_force[0] - s.mean_force[1] if self.epoch else np.zeros(3),
-            s.C_b_e.copy(), self.layout, self.n_channel,
+            phi, q, self.t_s, self.epoch, T, force[0], force[1], s.C_b_e.copy(), self.layout,
+            self.n_channel,
         )  # fmt: skip
-
-    def _arm_rate(self) -> np.ndarray:
-        """Velocity of the antenna with respect to the IMU (3,), ECEF."""
-        if not self.knows.lever_arm_b_m.any():
-            return np.zeros(3)
-        return antenna(self.steering.buffer, self.n_channel)[1] - self.steering.v_eb_e
 
     def _feed_back(self, x: np.ndarray, phase_m: np.ndarray) -> None:
         feed_back(self.steering.buffer, self.sky.arcs, x, phase_m, self.t_s)
@@ -193,7 +190,9 @@ class UltraTight:
         cov = np.eye(self.layout.n) * (WAVELENGTH_M / (2.0 * np.pi)) ** 2
         cov[:n, :n] = self.cov
         self.cov = cov
-        self._feed_back(np.zeros(n), -np.angle(self.prompt) * WAVELENGTH_M / (2.0 * np.pi))
+        self._feed_back(
+            np.zeros(n), -np.angle(self.amplitudes.prompt) * WAVELENGTH_M / (2.0 * np.pi)
+        )
         self.coherent = True
         self.filter.reset()
         self.lock.restart()
@@ -226,7 +225,7 @@ class UltraTight:
     @property
     def cn0_dbhz(self) -> np.ndarray:
         """Running estimate of C/N0 per channel, from the amplitude [dB-Hz]."""
-        return 10.0 * np.log10(self.amplitude2 / (2.0 * HALF_BIT_S))
+        return 10.0 * np.log10(self.amplitudes.amplitude2 / (2.0 * HALF_BIT_S))
 
     def fields(self) -> dict[str, tuple[tuple[int, ...], tuple[str, ...], str, str]]:
         """What is kept of each epoch; the channels' phases are left out of ``covariance``."""
@@ -266,3 +265,50 @@ class UltraTight:
         rows["coherent"][k] = self.coherent
         rows["lock_indicator"][k] = self.lock.indicator
         rows["cn0"][k] = self.cn0_dbhz
+
+
+# ---- kernels ---------------------------------------------------------------------------------
+
+
+@borrowing
+def _transition(
+    buffer: np.ndarray,
+    T: float,
+    u_before: np.ndarray,
+    n_scale: int,
+    n_phase: int,
+    density: np.ndarray,
+    work: np.ndarray,
+    Phi: np.ndarray,
+    Q: np.ndarray,
+    force: np.ndarray,
+) -> None:
+    """Phi and Q of the epoch of T seconds that ends now; force (2, 3): its mean and its change.
+
+    u_before (n_channel, 3) comes with the lines of sight of the epoch before, leaves with these.
+    """
+    s = views(buffer, u_before.shape[0])
+    _, _, _, vx, vy, vz = lever(s)
+    for i in range(u_before.shape[0]):
+        for k in range(3):
+            u_before[i, k] = (s.u[i, k] - u_before[i, k]) / T
+    transition_into(
+        s.r_eb_e, s.C_b_e, s.mean_force[0], T, s.u, u_before, (vx, vy, vz), n_scale, n_phase,
+        density, work, Phi, Q,
+    )  # fmt: skip
+    for i in range(u_before.shape[0]):
+        for k in range(3):
+            u_before[i, k] = s.u[i, k]
+    for k in range(3):
+        force[0, k] = s.mean_force[0, k]
+        force[1, k] = s.mean_force[0, k] - s.mean_force[1, k]
+
+
+@borrowing
+def _is_finite(mean: np.ndarray, cov: np.ndarray) -> bool:
+    total = 0.0
+    for i in range(mean.size):
+        total += 0.0 * mean[i]
+        for j in range(mean.size):
+            total += 0.0 * cov[i, j]
+    return total == 0.0
