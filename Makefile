@@ -1,5 +1,5 @@
 # Everything works from a fresh clone: Python 3.11 to 3.14, git and make are all that is needed.
-.PHONY: help run test campaign lint format clean
+.PHONY: help run test campaign receivers lint format clean
 .DEFAULT_GOAL := help
 
 VENV := .venv
@@ -10,6 +10,7 @@ help:
 	@echo "make run       fly the velocity jump with three filters; figure and results in results/"
 	@echo "make test      lint, types, layers and all tests"
 	@echo "make campaign  the tests with many seeds (some twenty minutes)"
+	@echo "make receivers gnss-sdr and RTKLIB, where installed, navigate with our files (minutes)"
 	@echo "make lint      lint, types and layers only"
 	@echo "make format    format the sources"
 	@echo "make clean     remove the virtual environment, caches and builds"
@@ -52,10 +53,13 @@ lint: $(STAMP)
 # pytest's closing line is the last one.
 test: lint
 	@NUMBA_DISABLE_JIT=1 $(PY) -m pytest -m nojit
-	@$(PY) -m pytest -m "not campaign"
+	@$(PY) -m pytest -m "not campaign and not receiver"
 
 campaign: $(STAMP)
 	@$(PY) -m pytest -m campaign
+
+receivers: $(STAMP)
+	@$(PY) -m pytest -m receiver -rs
 
 format: $(STAMP)
 	@$(PY) -m ruff format .

@@ -11,8 +11,8 @@ ALPHA = (1.118e-8, 7.451e-9, -5.960e-8, -5.960e-8)
 BETA = (9.011e4, 0.0, -1.966e5, -6.554e4)
 LEAP = {"week_t": 2149, "leap_s": 18, "leap_future_s": 18, "week_lsf": 2031, "day": 7}
 
-# The two higher bits of IODC, where they are not zero: prn -> IODC - IODE
-IODC_ABOVE_IODE = {14: 512}
+# IODC is IODE here.  G14 sent 656 and 657, 512 above its IODE; with these two bits, that mean
+# nothing to an orbit, gnss-sdr before 0.0.19 refuses a set (its pull request 737).
 # (prn, toe) of the sets with a user range accuracy of 2.8 m; all others have 2.0 m
 URA_1 = {(28, 475200.0)}
 

@@ -247,12 +247,12 @@ class Constellation:
 
 def embedded() -> Constellation:
     """Return the real GPS constellation that the package carries: 2021-03-19, East Asia's sky."""
-    from signals.embedded_2021_03_19 import ALPHA, BETA, IODC_ABOVE_IODE, LEAP, SETS, SOURCE, URA_1
+    from signals.embedded_2021_03_19 import ALPHA, BETA, LEAP, SETS, SOURCE, URA_1
 
     table = np.array(SETS)
     prn, iode = table[:, 0].astype(np.int64), table[:, 3].astype(np.int64)
     status = np.zeros((len(table), N_STATUS), dtype=np.int64)
-    status[:, IODC] = iode + np.array([IODC_ABOVE_IODE.get(int(p), 0) for p in prn])
+    status[:, IODC] = iode
     status[:, URA] = [(int(p), toe) in URA_1 for p, toe in zip(prn, table[:, 5], strict=True)]
     status[:, CODE_ON_L2] = 1
     return Constellation(

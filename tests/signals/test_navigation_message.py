@@ -218,6 +218,9 @@ def everything(sky: Constellation, week: int, tow_s: float, n_frame: int) -> Con
 
 def test_embedded_constellation_comes_back():
     sky = embedded()
+    status = sky.status.copy()
+    status[sky.prn == 14, s.IODC] += 512  # as the satellite had it
+    sky = replace(sky, status=status)
     back = everything(sky, WEEK, TOW + 3570.0, 26)  # across the change of sets, and 12.5 min
     # of satellites with two sets about 475200, the one nearest to the time went out
     carried = []
