@@ -80,6 +80,12 @@ class Fixes(NamedTuple):
     observations: Path
     navigation: Path
 
+    def since(self, tow_s: float) -> Fixes:
+        """The fixes from a time on."""
+        late = self.tow_s >= tow_s
+        arrays = {name: getattr(self, name)[late] for name in ("tow_s", "r", "v", "clock_m")}
+        return self._replace(**arrays)
+
 
 class Errors(NamedTuple):
     """Fixes against the truth."""
@@ -96,15 +102,19 @@ class Errors(NamedTuple):
 
 
 def generate(
-    scenario: str, out: Path, duration_s: float = 40.0, settings: tuple[str, ...] = ()
+    scenario: str,
+    out: Path,
+    duration_s: float = 40.0,
+    settings: tuple[str, ...] = (),
+    start: tuple[int, float] = START,
 ) -> Truth:
     """Write a file with the command line, int8 of r.m.s. 32 at 2.6 Msps."""
     command = [sys.executable, "-m", "ultratight", "generate", scenario, "--out", str(out)]
     command += ["--duration", f"{duration_s:g}", "--rate", f"{RATE_HZ:g}", "--if-hz", "0"]
-    command += ["--format", "ci8", "--start", f"{START[0]}:{START[1]:g}", "--json"]
+    command += ["--format", "ci8", "--start", f"{start[0]}:{start[1]:.10g}", "--json"]
     for text in settings:
         command += ["--set", text]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = subprocess.run(command, cwd=HERE.parents[1], capture_output=True, text=True, check=False)
     if done.returncode:
         raise RuntimeError(f"{' '.join(command)}: {done.stderr.strip()}")
     made = json.loads(done.stdout)
@@ -115,11 +125,11 @@ def read_truth(samples: Path, path: Path) -> Truth:
     """Truth file beside the samples."""
     with h5py.File(path) as f:
         clock_m = f["clock_m"][:]
-        start = float(f.attrs["start_tow_s"])
+        start, rate = (float(np.ravel(f.attrs[n])[0]) for n in ("start_tow_s", "sample_rate_hz"))
         return Truth(
             samples=samples,
             start_tow_s=start,
-            rate_hz=float(f.attrs["sample_rate_hz"]),
+            rate_hz=rate,
             tow_s=start + f["t_s"][:] - clock_m / C_MPS,
             r=f["r_ea_e"][:],
             v=f["v_ea_e"][:],
