@@ -146,10 +146,10 @@ def test_a_navigation_file_counts_by_its_content(tmp_path: Path) -> None:
         digests.append(load("jump-1", {"constellation": str(path)}).digest())
     assert digests[0] == digests[1] != digests[2]
     # FIPS 180: printf two | sha256sum
-    assert load("jump-1", {"constellation": str(path)}).navigation_sha256() == (
-        "3fc4ccfe745870e2c0d99f71f30ff0656c8dedd41cc1d7d3d376b0dbe685e2f3"
-    )
-    assert load("jump-1").navigation_sha256() is None
+    assert load("jump-1", {"constellation": str(path)}).files_sha256() == {
+        "constellation": "3fc4ccfe745870e2c0d99f71f30ff0656c8dedd41cc1d7d3d376b0dbe685e2f3"
+    }
+    assert load("jump-1").files_sha256() == {}
     told = provenance(load("jump-1", {"constellation": str(path)}), 1)
     assert told["navigation_sha256"].startswith("3fc4ccfe")
     assert told["scenario_sha256"] == digests[2]

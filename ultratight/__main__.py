@@ -4,12 +4,26 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from ultratight import if_commands
+from ultratight.options import (
+    Closure,
+    Correlator,
+    FilterName,
+    Json,
+    Measurement,
+    Navigation,
+    Override,
+    Quiet,
+    Seed,
+    Source,
+    progress,
+)
 
 if TYPE_CHECKING:
     from ultratight.results import Run
@@ -24,39 +38,6 @@ app = typer.Typer(
     rich_markup_mode=None,
     help="GNSS receiver baseband simulator with ultra-tight INS coupling at signal level.",
 )
-
-Source = Annotated[str, typer.Argument(metavar="PRESET|FILE.toml", help="what to fly")]
-Override = Annotated[
-    list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help="change one key, e.g. imu.lag_s=0.0025"),
-]
-FilterName = Annotated[
-    str | None, typer.Option("--filter", metavar="NAME", help="see `ultratight filters`")
-]
-Closure = Annotated[
-    str | None, typer.Option(metavar="NAME", help="ultra-tight, scalar or scalar-ins")
-]
-Measurement = Annotated[str | None, typer.Option(metavar="NAME", help="coherent or differential")]
-Correlator = Annotated[
-    str | None, typer.Option(metavar="NAME", help="samples or model (closed form)")
-]
-Navigation = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="RINEX navigation file for the sky")
-]
-Quiet = Annotated[bool, typer.Option("--quiet", help="no progress, no warnings")]
-Json = Annotated[bool, typer.Option("--json", help="print one JSON object")]
-
-
-def _whole(given: str | int) -> int:
-    text = str(given)  # the default comes as a number
-    if not (text.isascii() and text.isdigit() and int(text) < 2**63):
-        raise typer.BadParameter(f"{text!r} given, expected a whole number from 0 to 2^63 - 1")
-    return int(text)
-
-
-Seed = Annotated[
-    int, typer.Option("--seed", parser=_whole, metavar="N", help="seed of every random stream")
-]
 
 
 @app.command()
@@ -197,6 +178,10 @@ def _version(wanted: bool) -> None:
         raise typer.Exit
 
 
+app.command()(if_commands.generate)
+app.command()(if_commands.info)
+
+
 @app.callback()
 def _options(
     version: Annotated[
@@ -254,32 +239,8 @@ def _refuse_meaningless(chosen: Scenario, **options: str | None) -> None:
 def _fly(chosen: Scenario, seed: int, quiet: bool) -> Run:
     from ultratight.simulation import run as simulate
 
-    with _progress(f"flying {chosen.name}", quiet) as report:
+    with progress(f"flying {chosen.name}", quiet) as report:
         return simulate(chosen, seed, progress=report)
-
-
-@contextmanager
-def _progress(what: str, quiet: bool) -> Iterator[Callable[[float], None] | None]:
-    """A bar on a terminal, a line per tenth when piped, nothing when quiet; on stderr."""
-    if quiet:
-        yield None
-    elif sys.stderr.isatty():
-        from rich.console import Console
-        from rich.progress import Progress
-
-        with Progress(console=Console(stderr=True), transient=True) as bar:
-            task = bar.add_task(f"{what} (the first run compiles)", total=1.0)
-            yield lambda share: bar.update(task, completed=share)
-    else:
-        done = -1
-
-        def report(share: float) -> None:
-            nonlocal done
-            if int(share * 10.0) > done:
-                done = int(share * 10.0)
-                print(f"{what}: {10 * done} %", file=sys.stderr, flush=True)
-
-        yield report
 
 
 def _draw(runs: Sequence[Run], path: Path) -> None:

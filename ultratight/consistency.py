@@ -79,6 +79,8 @@ def contradictions(s: Scenario) -> Found:
     times = [t for t, _ in s.channel.cn0_profile_s_db]
     if any(b <= a for a, b in zip(times, times[1:], strict=False)):
         refuse("channel.cn0_profile_s_db", config.show(times), "times that grow")
+    if s.trajectory is not None and s.profile:
+        refuse("trajectory profile", config.show(s.trajectory), "no profile beside it: profile=[]")
     if s.prns is not None and len(set(s.prns)) < len(s.prns):
         refuse("prns", config.show(s.prns), "each satellite once")
     return found + _unknown_names(s) + _loop_contradictions(s) + _profile_contradictions(s)

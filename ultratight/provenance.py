@@ -11,14 +11,16 @@ from numba.core import config as numba_config
 
 from ultratight.scenario import Scenario
 
+_FILES = {"constellation": "navigation_sha256", "trajectory": "trajectory_sha256"}
+
 
 def provenance(scenario: Scenario, seed: int) -> dict[str, Any]:
     """What one needs to repeat the run: scenario hash, seed, versions, CPU path."""
     names = ("ultratight", "numpy", "scipy", "numba")
-    sky = scenario.navigation_sha256()
+    files = scenario.files_sha256()
     return {
         "scenario_sha256": scenario.digest(),
-        **({} if sky is None else {"navigation_sha256": sky}),
+        **{_FILES[key]: sha for key, sha in files.items()},
         "seed": seed,
         "cpu_path": cpu_path(),
         "machine": platform.machine(),

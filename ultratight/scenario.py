@@ -13,11 +13,12 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, model_validator
+from pydantic import Field, ValidationError, ValidationInfo, model_validator
 
 from ultratight import config, consistency
 from ultratight.config import InvalidInput, Unsupported
 from ultratight.consistency import SPEED_LIMIT_MPS
+from ultratight.tables import Atmosphere, Channel, Dbhz, Imu, NotNegative, Positive, Table
 
 __all__ = [
     "PRESETS",
@@ -29,13 +30,7 @@ __all__ = [
     "preset_tree",
 ]
 
-Positive = Annotated[float, Field(gt=0.0, le=1e6)]
-NotNegative = Annotated[float, Field(ge=0.0, le=1e6)]
-Arm = Annotated[float, Field(ge=-1_000.0, le=1_000.0)]
-Tau = Annotated[float, Field(ge=0.01, le=1e9)]
-Dbhz = Annotated[float, Field(ge=0.0, le=70.0)]
 Prn = Annotated[int, Field(ge=1, le=210)]
-Ppm = Annotated[float, Field(ge=-1e5, le=1e5)]
 Acceleration = Annotated[float, Field(ge=-10_000.0, le=10_000.0)]
 TurnRate = Annotated[float, Field(ge=-360.0, le=360.0)]
 
@@ -47,22 +42,7 @@ _KEYS_ONLY = "keys only"
 """Validation context: leave out the rules between keys"""
 
 
-class _Table(BaseModel):
-    model_config = ConfigDict(
-        frozen=True, extra="forbid", strict=True, allow_inf_nan=False, use_attribute_docstrings=True
-    )
-
-    @model_validator(mode="before")
-    @classmethod
-    def _lists_are_tuples(cls, data: Any) -> Any:
-        return {k: _frozen(v) for k, v in data.items()} if isinstance(data, Mapping) else data
-
-
-def _frozen(value: Any) -> Any:
-    return tuple(_frozen(item) for item in value) if isinstance(value, list | tuple) else value
-
-
-class Segment(_Table):
+class Segment(Table):
     """A stretch of the speed profile: acceleration along the velocity and turn rate, both linear.
 
     Outside all segments both are zero.
@@ -80,60 +60,7 @@ class Segment(_Table):
     """At t1_s"""
 
 
-class Channel(_Table):
-    """What the path does to the signals."""
-
-    cn0_by_prn_dbhz: dict[
-        Annotated[str, Field(pattern=r"^G(0[1-9]|[1-9]\d|1\d\d|20\d|210)$")], Dbhz
-    ] = {}
-    """Satellites that differ from ``cn0_dbhz``: {"G07": 40.0}"""
-    cn0_profile_s_db: tuple[tuple[float, Annotated[float, Field(ge=-70, le=70)]], ...] = ()
-    """(t_s, offset in dB on every satellite), linear between the points, constant outside"""
-
-
-class Imu(_Table):
-    """The inertial sensors; a key that is left out is as the grade has it."""
-
-    grade: str = "industrial-mems"
-    """A row of sensor data; the keys below that are left out are as it has them"""
-    rate_hz: Annotated[float, Field(ge=10.0, le=10_000.0)] = 200.0
-    lever_arm_b_m: tuple[Arm, Arm, Arm] = (0.0, 0.0, 0.0)
-    """From the IMU to the antenna, forward-right-down"""
-    accel_bias_mg: Annotated[float, Field(ge=0.0, le=1e4)] | None = None
-    """Turn-on, 1 sigma"""
-    accel_bias_in_run_ug: NotNegative | None = None
-    """First-order Gauss-Markov, 1 sigma"""
-    accel_bias_tau_s: Tau | None = None
-    """Its correlation time"""
-    velocity_random_walk_mps_sqrt_s: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
-    """White noise of the accelerometers"""
-    accel_scale_factor_ppm: tuple[Ppm, Ppm, Ppm] | None = None
-    """A fixed error per axis"""
-    accel_scale_factor_alternates: bool = False
-    """The fixed error is taken with + for odd seeds and - for even ones"""
-    accel_scale_factor_sigma_ppm: Annotated[float, Field(ge=0.0, le=1e5)] | None = None
-    """Drawn per axis and run, on top of the fixed error"""
-    misalignment_mrad: Annotated[float, Field(ge=0.0, le=100.0)] | None = None
-    """Of the accelerometers, 1 sigma"""
-    lag_s: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
-    """Time constant of a first-order lag of all sensors"""
-    saturation_g: Positive | None = None
-    """Accelerometers end here; no limit when left out (no grade has one)"""
-    gyro_bias_deg_h: Annotated[float, Field(ge=0.0, le=1e5)] | None = None
-    """Turn-on, 1 sigma"""
-    gyro_bias_in_run_deg_h: Annotated[float, Field(ge=0.0, le=1e5)] | None = None
-    """First-order Gauss-Markov, 1 sigma"""
-    gyro_bias_tau_s: Tau | None = None
-    """Its correlation time"""
-    angle_random_walk_rad_sqrt_s: Annotated[float, Field(ge=0.0, le=0.1)] | None = None
-    """White noise of the gyros"""
-    gyro_scale_factor_ppm: Annotated[float, Field(ge=0.0, le=1e5)] | None = None
-    """1 sigma, drawn per axis and run"""
-    gyro_g_dependence_deg_h_g: Annotated[float, Field(ge=0.0, le=1e4)] | None = None
-    """1 sigma, drawn per axis and run"""
-
-
-class Clock(_Table):
+class Clock(Table):
     """The receiver's oscillator."""
 
     model: str = "tcxo"
@@ -145,7 +72,7 @@ class Clock(_Table):
     """Along the forward axis"""
 
 
-class FrontEnd(_Table):
+class FrontEnd(Table):
     """How IF samples are taken: complex, signal at ``if_hz``."""
 
     sample_rate_hz: Annotated[float, Field(gt=0.0, le=200e6)] = 4.0e6
@@ -153,7 +80,7 @@ class FrontEnd(_Table):
     sample_format: Literal["int8", "float32"] = "int8"
 
 
-class Correlator(_Table):
+class Correlator(Table):
     """How taps are made: from samples, or in closed form ("model")."""
 
     kind: Literal["model", "samples"] = "model"
@@ -164,7 +91,7 @@ class Correlator(_Table):
     """Closed form only: add the noise that the other satellites' codes make"""
 
 
-class Knows(_Table):
+class Knows(Table):
     """What the receiver is told before it starts, and how well (1 sigma)."""
 
     bit_edges: bool = True
@@ -184,7 +111,7 @@ class Knows(_Table):
     cn0_sigma_db: Annotated[float, Field(ge=0.0, le=10.0)] = 1.0
 
 
-class ProcessNoise(_Table):
+class ProcessNoise(Table):
     """What the filter believes of IMU and clock; a key left out is the true data sheet's value."""
 
     velocity_random_walk_mps_sqrt_s: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
@@ -194,7 +121,7 @@ class ProcessNoise(_Table):
     clock_model: str | None = None
 
 
-class Receiver(_Table):
+class Receiver(Table):
     """Who closes the loop, with which filter and measurement, and what it knows."""
 
     closure: Literal["ultra-tight", "scalar", "scalar-ins"] = "ultra-tight"
@@ -223,7 +150,7 @@ class Receiver(_Table):
     process_noise: ProcessNoise = ProcessNoise()
 
 
-class Scenario(_Table):
+class Scenario(Table):
     """A world and its receiver.  Every key has one home and one unit; see the classes above."""
 
     name: Annotated[str, Field(min_length=1)]
@@ -257,6 +184,11 @@ class Scenario(_Table):
     """Stretches of linear acceleration and turn rate; both are zero elsewhere"""
     jump_window_s: tuple[NotNegative, NotNegative] | None = None
     """What the summary calls the jump; by default from the first to the last segment"""
+    trajectory: Annotated[str, Field(min_length=1)] | None = None
+    """A file of positions (CSV) in place of start, heading, speed and profile"""
+    data_bits: Literal["random", "lnav"] = "random"
+    """What the satellites send: random bits, or the navigation message of the constellation"""
+    atmosphere: Atmosphere = Atmosphere()
     channel: Channel = Channel()
     imu: Imu = Imu()
     clock: Clock = Clock()
@@ -302,19 +234,20 @@ class Scenario(_Table):
     def digest(self) -> str:
         """SHA-256 of the resolved scenario as canonical JSON.
 
-        A navigation file enters by its content, wherever it is; OSError if it is gone.
+        Files that it names enter by their content, wherever they are; OSError if one is gone.
         """
-        tree, sky = self.to_dict(), self.navigation_sha256()
-        if sky is not None:
-            tree["constellation"] = f"sha256:{sky}"
+        tree = self.to_dict()
+        for key, sha in self.files_sha256().items():
+            tree[key] = f"sha256:{sha}"
         text = json.dumps(tree, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()
 
-    def navigation_sha256(self) -> str | None:
-        """SHA-256 of the navigation file; None where the sky needs none."""
-        if self.constellation in CONSTELLATIONS:
-            return None
-        return hashlib.sha256(Path(self.constellation).read_bytes()).hexdigest()
+    def files_sha256(self) -> dict[str, str]:
+        """SHA-256 of each file that the scenario names, by its key."""
+        return {
+            key: hashlib.sha256(Path(name).read_bytes()).hexdigest()
+            for key, name in _files(self.to_dict()).items()
+        }
 
     def replace(self, changes: Mapping[str, Any] | Iterable[str]) -> Scenario:
         """A validated copy with dotted changes: {"imu.lag_s": 0.01} or ["imu.lag_s=0.01"]."""
@@ -322,7 +255,13 @@ class Scenario(_Table):
 
     def warnings(self) -> list[str]:
         """Lines about what is allowed and seldom wanted."""
-        return consistency.commensurate(self.front_end.sample_rate_hz)
+        found = consistency.commensurate(self.front_end.sample_rate_hz)
+        if self.atmosphere.ionosphere or self.atmosphere.troposphere:
+            found.append(
+                "atmosphere: the receiver of a run knows nothing of it and corrects nothing: "
+                "metres of bias in its ranges"
+            )
+        return found
 
 
 def _all_problems(tree: Mapping[str, Any], error: ValidationError) -> list[str]:
@@ -373,12 +312,28 @@ def load(name_or_path: str | Path, overrides: Mapping[str, Any] | Iterable[str] 
     )
     source = "" if str(name_or_path) in PRESETS else str(name_or_path)
     scenario = Scenario.from_dict(tree, source)
-    if scenario.constellation not in CONSTELLATIONS and not Path(scenario.constellation).is_file():
-        raise InvalidInput(
-            f'constellation: "{scenario.constellation}" given, expected "embedded", "nominal-24" '
-            "or a RINEX navigation file (there is no such file)"
-        )
+    expected = {
+        "constellation": '"embedded", "nominal-24" or a RINEX navigation file',
+        "trajectory": "a trajectory file (CSV)",
+    }
+    lines = [
+        f'{key}: "{path}" given, expected {expected[key]} (there is no such file)'
+        for key, path in _files(scenario.to_dict()).items()
+        if not Path(path).is_file()
+    ]
+    if lines:
+        raise InvalidInput(lines)
     return scenario
+
+
+def _files(tree: Mapping[str, Any]) -> dict[str, str]:
+    """What the keys that name files hold, where they do."""
+    named = {key: tree.get(key) for key in ("constellation", "trajectory")}
+    return {
+        key: name
+        for key, name in named.items()
+        if isinstance(name, str) and name and name not in CONSTELLATIONS
+    }
 
 
 def _changed(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
@@ -393,7 +348,4 @@ def _changed(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, A
 
 
 def _relative_to(folder: Path, tree: dict[str, Any]) -> dict[str, Any]:
-    sky = tree.get("constellation")
-    if isinstance(sky, str) and sky and sky not in CONSTELLATIONS:
-        return tree | {"constellation": str(folder / sky)}
-    return tree
+    return tree | {key: str(folder / name) for key, name in _files(tree).items()}

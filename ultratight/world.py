@@ -8,13 +8,11 @@ source has its own named stream, so that switching one off changes no other.
 from __future__ import annotations
 
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 
-from signals import clock, satellites
+from signals import clock
 from signals.arcs import arcs
-from signals.code_start import symbol_span
 from signals.codes import GPS_L1CA
 from signals.constants import C_MPS
 from signals.correlator import SampleCorrelator
@@ -22,19 +20,18 @@ from signals.correlator_model import ModelCorrelator
 from signals.front_end import Recording, SyntheticIf
 from signals.nco import Correlator
 from signals.noise import generator
-from signals.nominal import nominal_24
 from signals.propagation import (
     SignalState,
     elevation_azimuth,
     predict_channels,
     signal_state,
 )
-from signals.rinex import read_navigation
+from ultratight import sky
 from ultratight.data_sheets import imu_errors, oscillator, process_noise
 from ultratight.ins.attitude import rotation_from_vector
-from ultratight.ins.earth import rotation_e_from_n
 from ultratight.ins.imu import ImuErrors, Increments, corrupt
-from ultratight.ins.trajectory import Segment, Trajectory
+from ultratight.ins.recorded_motion import RecordedMotion
+from ultratight.ins.trajectory import RigidMotion, Segment, Trajectory
 from ultratight.scenario import InvalidInput, Scenario, Unsupported
 from ultratight.tracking.knows import Knows
 
@@ -66,24 +63,7 @@ class World:
     ) -> None:
         self.scenario, self.seed = scenario, seed
         self._samples = samples
-        lat, lon, h = scenario.position_lla_deg_m
-        self.trajectory = Trajectory.from_profile(
-            (np.radians(lat), np.radians(lon), h),
-            np.radians(scenario.heading_deg),
-            scenario.speed_mps,
-            [
-                Segment(
-                    s.t0_s,
-                    s.t1_s,
-                    s.accel0_mps2,
-                    s.accel1_mps2,
-                    np.radians(s.turn_rate0_deg_s),
-                    np.radians(s.turn_rate1_deg_s),
-                )
-                for s in scenario.profile
-            ],
-            duration_s=scenario.duration_s,
-        )
+        self.trajectory = _motion(scenario)
         # a little past the end, so that a longer run begins with the same bits
         n_node = int(np.ceil(scenario.duration_s / NODE_S - 1e-9)) + 1 + N_NODE_PAST
         self.t_s = np.arange(n_node) * NODE_S
@@ -94,8 +74,9 @@ class World:
     def _start_clock(self) -> None:
         c = self.scenario.clock
         self.oscillator = oscillator("clock.model", c.model)
-        # at the middles: the force steps at nodes
-        force = self.trajectory.specific_force(self.t_s[:-1] + 0.5 * NODE_S)[:, 0]
+        force = None
+        if c.g_sensitivity_ppb_per_g:  # at the middles: the force steps at nodes
+            force = self.trajectory.specific_force(self.t_s[:-1] + 0.5 * NODE_S)[:, 0]
         self.clock = clock.simulate(
             self.oscillator,
             self.t_s,
@@ -108,14 +89,12 @@ class World:
 
     def _choose_satellites(self) -> None:
         s = self.scenario
-        try:
-            prn, rows = _constellation(s).select(s.start_week, s.start_tow_s)
-        except (ValueError, OSError) as error:
-            raise InvalidInput(f"constellation: {error}{_other_sky(s)}") from None
+        self.sky = sky.constellation(s)
+        prn, rows = self.sky.select(s.start_week, s.start_tow_s)
         r, v = self.antenna(np.zeros(1))
         rho, rate, u = np.empty(prn.size), np.empty(prn.size), np.empty((prn.size, 3))
-        sky = arcs(rows, s.start_tow_s, s.start_tow_s)
-        predict_channels(sky, s.start_tow_s, r[0], v[0], 0.0, 0.0, rho, rate, u)
+        now = arcs(rows, s.start_tow_s, s.start_tow_s)
+        predict_channels(now, s.start_tow_s, r[0], v[0], 0.0, 0.0, rho, rate, u)
         elevation = np.degrees(elevation_azimuth(r[0], u)[0])
         keep = elevation >= s.mask_deg
         if s.prns is not None:
@@ -133,7 +112,7 @@ class World:
         if risen < FEWEST_SATELLITES:
             return (
                 f"mask_deg: {risen} satellites of {s.constellation} at or above {s.mask_deg:g} deg "
-                f"at the start, {least}{_other_sky(s)}"
+                f"at the start, {least}{sky.other_sky(s)}"
             )
         key = "max_satellites" if s.prns is None else "prns"
         return f"{key}: leaves {kept} of {risen} satellites above the mask, {least}"
@@ -153,30 +132,36 @@ class World:
         return self.trajectory.antenna(self.true_time(t_s), self.lever_arm_b_m)
 
     @cached_property
+    def symbols(self) -> tuple[int, np.ndarray]:
+        """Number of the first data bit, and all data bits (n_channel, n_bit)."""
+        return sky.data_bits(self.scenario, self.seed, self.sky, self.prn, self.t_s)
+
+    @cached_property
     def signal(self) -> SignalState:
         """Delay and phase of each satellite as they reach the antenna."""
-        r, v = self.antenna(self.t_s)
-        first, n_bit = symbol_span(self.scenario.start_tow_s, self.t_s)
-        symbols = np.stack(
-            [
-                1 - 2 * generator(self.seed, f"data-bits.G{p:02d}").integers(0, 2, n_bit)
-                for p in self.prn
-            ]
-        ).astype(np.int8)
-        return signal_state(
+        return self.signal_between(0, len(self.t_s) - 1)
+
+    def signal_between(self, first: int, last: int, valid: np.ndarray | None = None) -> SignalState:
+        """`signal` from one node to another; ``valid`` (n_channel,): channels that are received."""
+        part = slice(first, last + 1)
+        r, v = self.antenna(self.t_s[part])
+        first_bit, bits = self.symbols
+        state = signal_state(
             self.elements,
             self.scenario.start_tow_s,
-            self.t_s,
+            self.t_s[part],
             r,
             v,
-            self.clock.clock_m,
-            self.clock.clock_rate_mps,
-            self._cn0_dbhz(),
-            symbols,
-            first,
+            self.clock.clock_m[part],
+            self.clock.clock_rate_mps[part],
+            self._cn0_dbhz(self.t_s[part]),
+            bits,
+            first_bit,
+            valid,
         )
+        return sky.with_atmosphere(self.scenario, self.sky, self.prn, r, state)
 
-    def _cn0_dbhz(self) -> np.ndarray:
+    def _cn0_dbhz(self, t_s: np.ndarray) -> np.ndarray:
         s = self.scenario
         foreign = set(s.channel.cn0_by_prn_dbhz) - {f"G{p:02d}" for p in self.prn}
         if foreign:
@@ -189,7 +174,7 @@ class World:
         if not s.channel.cn0_profile_s_db:
             return level
         t, offset = np.array(s.channel.cn0_profile_s_db).T
-        return level[:, None] + np.interp(self.t_s, t, offset)
+        return level[:, None] + np.interp(t_s, t, offset)
 
     @cached_property
     def imu(self) -> tuple[Increments, dict[str, np.ndarray]]:
@@ -253,11 +238,10 @@ class World:
         s, k = self.scenario, self.scenario.receiver.knows
         rng = generator(self.seed, "receiver.initial-state")
         m = self.trajectory.at(self.true_time(np.zeros(1)))
-        lat, lon = np.radians(s.position_lla_deg_m[:2])
         tilt, heading = 1e-3 * k.tilt_sigma_mrad, 1e-3 * k.heading_sigma_mrad
         r = m.r_eb_e[0] - k.position_sigma_m * rng.standard_normal(3)
         v = m.v_eb_e[0] - k.velocity_sigma_mps * rng.standard_normal(3)
-        psi = rotation_e_from_n(lat, lon) @ (rng.standard_normal(3) * [tilt, tilt, heading])
+        psi = self.trajectory.C_n_e @ (rng.standard_normal(3) * [tilt, tilt, heading])
         clock_m = self.clock.clock_m[0] - k.clock_sigma_m * rng.standard_normal()
         rate = self.clock.drift_mps[0] - k.clock_rate_sigma_mps * rng.standard_normal()
         e = self.errors
@@ -296,16 +280,30 @@ class World:
         )
 
 
-def _other_sky(s: Scenario) -> str:
-    """What to do about the sky of one day."""
-    if s.constellation == "nominal-24":
-        return ""
-    return '; for other places and dates: constellation = "nominal-24", or --nav FILE'
-
-
-def _constellation(s: Scenario) -> satellites.Constellation:
-    if s.constellation == "embedded":
-        return satellites.embedded()
-    if s.constellation == "nominal-24":
-        return nominal_24(s.start_week, s.start_tow_s)
-    return read_navigation(Path(s.constellation))
+def _motion(s: Scenario) -> RigidMotion:
+    """The trajectory file's motion, or that of the profile."""
+    if s.trajectory is not None:
+        try:
+            motion = RecordedMotion.from_csv(s.trajectory)
+            motion.check_covers(s.duration_s)
+        except ValueError as error:
+            raise InvalidInput(f"trajectory: {error}") from None
+        return motion
+    lat, lon, h = s.position_lla_deg_m
+    return Trajectory.from_profile(
+        (np.radians(lat), np.radians(lon), h),
+        np.radians(s.heading_deg),
+        s.speed_mps,
+        [
+            Segment(
+                p.t0_s,
+                p.t1_s,
+                p.accel0_mps2,
+                p.accel1_mps2,
+                np.radians(p.turn_rate0_deg_s),
+                np.radians(p.turn_rate1_deg_s),
+            )
+            for p in s.profile
+        ],
+        duration_s=s.duration_s,
+    )

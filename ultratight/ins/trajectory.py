@@ -15,6 +15,7 @@ acceleration reaches antenna and IMU at the same instant.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -68,6 +69,73 @@ class Motion(NamedTuple):
     omega_eb_b: np.ndarray  # (..., 3) [rad/s]
 
 
+class RigidMotion(ABC):
+    """A body that moves: what antenna and IMU see follows from `at` alone."""
+
+    C_n_e: np.ndarray  # (3, 3) NED at the start to ECEF
+    breakpoints_s: np.ndarray  # times where the acceleration is not smooth [s]
+    first_jump_s: float | None  # first discontinuity of the acceleration vector [s]
+
+    @abstractmethod
+    def at(self, t: ArrayLike, side: Side = "right") -> Motion:
+        """Motion at times t (...) [s]; at a jump the limit from the given side."""
+
+    def speed(self, t: ArrayLike) -> np.ndarray:
+        """Speed [m/s] at times t [s]."""
+        return np.linalg.norm(self.at(t).v_eb_e, axis=-1)
+
+    def antenna(self, t: ArrayLike, lever_arm_b: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+        """Position and velocity (..., 3) of a point at lever_arm_b (3,) [m] in body axes."""
+        m = self.at(t)
+        lever = np.asarray(lever_arm_b, float)
+        rotating = np.cross(m.omega_eb_b, lever)
+        return (
+            m.r_eb_e + m.C_b_e @ lever,
+            m.v_eb_e + np.einsum("...ij,...j->...i", m.C_b_e, rotating),
+        )
+
+    def specific_force(self, t: ArrayLike, side: Side = "right") -> np.ndarray:
+        """f_ib_b (..., 3) [m/s2]: C' (a + 2 W x v - g(r)) (Groves 2.147)."""
+        return self._inertial(np.asarray(t, float), side)[1]
+
+    def increments(self, t_nodes: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+        """What an error-free IMU reports between nodes (m + 1,) [s].
+
+        Returns
+        -------
+        alpha, nu : (m, 3) arrays
+            Integrals of omega_ib_b [rad] and f_ib_b [m/s] in body axes, by five Gauss points on
+            every piece, at most 20 ms long, between nodes and jumps.
+        """
+        t = np.asarray(t_nodes, float)
+        if t.ndim != 1 or t.size < 2 or not np.all(np.diff(t) > 0.0):
+            raise ValueError("t_nodes: expected at least two strictly increasing times")
+        n = _INTERVALS_AT_ONCE
+        parts = [self._increments(t[i : i + n + 1]) for i in range(0, t.size - 1, n)]
+        return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
+
+    def _increments(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        inside = self.breakpoints_s[(self.breakpoints_s > t[0]) & (self.breakpoints_s < t[-1])]
+        fine = np.arange(t[0], t[-1], _LONGEST_PIECE) if np.diff(t).max() > _LONGEST_PIECE else t
+        edges = np.unique(np.concatenate([t, inside, fine]))
+        half = 0.5 * np.diff(edges)
+        points = edges[:-1, None] + half[:, None] * (1.0 + _IMU_NODES)
+        first = np.searchsorted(edges, t[:-1])
+        out = []
+        for rate in self._inertial(points, "right"):
+            pieces = half[:, None] * np.einsum("j,ijk->ik", _IMU_WEIGHTS, rate)
+            out.append(np.add.reduceat(pieces, first, axis=0))
+        return out[0], out[1]
+
+    def _inertial(self, t: np.ndarray, side: Side) -> tuple[np.ndarray, np.ndarray]:
+        """omega_ib_b and f_ib_b at times of any shape."""
+        m = self.at(t, side)
+        g = gravity_each(np.ascontiguousarray(m.r_eb_e.reshape(-1, 3))).reshape(m.r_eb_e.shape)
+        force_e = m.a_eb_e + 2.0 * np.cross(_EARTH_RATE, m.v_eb_e) - g
+        omega_ib_b = m.omega_eb_b + _EARTH_RATE @ m.C_b_e
+        return omega_ib_b, np.einsum("...ji,...j->...i", m.C_b_e, force_e)
+
+
 class _Plane(NamedTuple):
     """State in the plane: s-th derivatives of V and psi, north and east displacement, roll."""
 
@@ -82,7 +150,7 @@ class _Plane(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Trajectory:
+class Trajectory(RigidMotion):
     """A motion, built by `from_profile`; evaluated at any time, also a little outside its segments.
 
     ``cells`` has one row per cell: t, V, a, a', psi, omega, omega', north, east at its start.
@@ -170,57 +238,6 @@ class Trajectory:
             C_b_e=self.C_n_e @ C_b_n,
             omega_eb_b=np.stack([p.roll_rate, p.turn_rate * sr, p.turn_rate * cr], axis=-1),
         )
-
-    def antenna(self, t: ArrayLike, lever_arm_b: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-        """Position and velocity (..., 3) of a point at lever_arm_b (3,) [m] in body axes."""
-        m = self.at(t)
-        lever = np.asarray(lever_arm_b, float)
-        rotating = np.cross(m.omega_eb_b, lever)
-        return (
-            m.r_eb_e + m.C_b_e @ lever,
-            m.v_eb_e + np.einsum("...ij,...j->...i", m.C_b_e, rotating),
-        )
-
-    def specific_force(self, t: ArrayLike, side: Side = "right") -> np.ndarray:
-        """f_ib_b (..., 3) [m/s2]: C' (a + 2 W x v - g(r)) (Groves 2.147)."""
-        return self._inertial(np.asarray(t, float), side)[1]
-
-    def increments(self, t_nodes: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-        """What an error-free IMU reports between nodes (m + 1,) [s].
-
-        Returns
-        -------
-        alpha, nu : (m, 3) arrays
-            Integrals of omega_ib_b [rad] and f_ib_b [m/s] in body axes, by five Gauss points on
-            every piece, at most 20 ms long, between nodes and jumps.
-        """
-        t = np.asarray(t_nodes, float)
-        if t.ndim != 1 or t.size < 2 or not np.all(np.diff(t) > 0.0):
-            raise ValueError("t_nodes: expected at least two strictly increasing times")
-        n = _INTERVALS_AT_ONCE
-        parts = [self._increments(t[i : i + n + 1]) for i in range(0, t.size - 1, n)]
-        return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
-
-    def _increments(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        inside = self.breakpoints_s[(self.breakpoints_s > t[0]) & (self.breakpoints_s < t[-1])]
-        fine = np.arange(t[0], t[-1], _LONGEST_PIECE) if np.diff(t).max() > _LONGEST_PIECE else t
-        edges = np.unique(np.concatenate([t, inside, fine]))
-        half = 0.5 * np.diff(edges)
-        points = edges[:-1, None] + half[:, None] * (1.0 + _IMU_NODES)
-        first = np.searchsorted(edges, t[:-1])
-        out = []
-        for rate in self._inertial(points, "right"):
-            pieces = half[:, None] * np.einsum("j,ijk->ik", _IMU_WEIGHTS, rate)
-            out.append(np.add.reduceat(pieces, first, axis=0))
-        return out[0], out[1]
-
-    def _inertial(self, t: np.ndarray, side: Side) -> tuple[np.ndarray, np.ndarray]:
-        """omega_ib_b and f_ib_b at times of any shape."""
-        m = self.at(t, side)
-        g = gravity_each(np.ascontiguousarray(m.r_eb_e.reshape(-1, 3))).reshape(m.r_eb_e.shape)
-        force_e = m.a_eb_e + 2.0 * np.cross(_EARTH_RATE, m.v_eb_e) - g
-        omega_ib_b = m.omega_eb_b + _EARTH_RATE @ m.C_b_e
-        return omega_ib_b, np.einsum("...ji,...j->...i", m.C_b_e, force_e)
 
     @cached_property
     def _gravity_at_start(self) -> float:

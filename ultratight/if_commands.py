@@ -1,0 +1,89 @@
+"""The commands that write and read IF files."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ultratight.options import Json, Navigation, Override, Quiet, Seed, Source, progress
+
+
+def generate(
+    source: Source,
+    out: Annotated[
+        Path, typer.Option(metavar="NAME", help="files NAME.sigmf-data, -meta and .truth.nc")
+    ],
+    duration: Annotated[float, typer.Option(metavar="S", help="length of the file in seconds")],
+    rate: Annotated[float | None, typer.Option(metavar="HZ", help="sampling rate")] = None,
+    if_hz: Annotated[
+        float | None, typer.Option("--if-hz", metavar="HZ", help="where L1 stands in the file")
+    ] = None,
+    form: Annotated[
+        str, typer.Option("--format", metavar="NAME", help="ci8 ci16 cf32 ri8 ri16 rf32 ci2p ri2p")
+    ] = "ci8",
+    start: Annotated[
+        str | None, typer.Option(metavar="WEEK:TOW", help="GPS time of the first sample")
+    ] = None,
+    rms: Annotated[
+        float | None, typer.Option(metavar="X", help="noise in each value, in units of the file")
+    ] = None,
+    trajectory: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="positions over time (CSV)")
+    ] = None,
+    changes: Override = None,
+    nav: Navigation = None,
+    seed: Seed = 1,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Write an IF file for other receivers, and its truth.
+
+    Samples are I + jQ, I first; a carrier above the centre of the file turns counter-clockwise,
+    positive Doppler raises it, L1 stands at --if-hz. The data bits are the navigation message of
+    the constellation. A preset is taken with 45 dB-Hz, unless --set cn0_dbhz says otherwise.
+    """
+    from ultratight import generate as files
+
+    chosen = files.scenario_for(
+        source, changes or [], duration, rate, if_hz, start, trajectory, nav
+    )
+    plan = files.plan(chosen, seed, out, duration_s=duration, form=form, rms=rms)
+    with progress(f"writing {plan.samples.name}", quiet) as report:
+        made = files.generate(plan, report)
+    if as_json:
+        print(json.dumps(made))
+    elif not quiet:
+        for key in ("samples", "metadata", "truth"):
+            print(f"written: {made[key]}")
+
+
+def info(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="SigMF name or raw samples")],
+    form: Annotated[
+        str | None, typer.Option("--format", metavar="NAME", help="of a raw file, e.g. ci8")
+    ] = None,
+    rate: Annotated[float | None, typer.Option(metavar="HZ", help="of a raw file")] = None,
+    if_hz: Annotated[float | None, typer.Option("--if-hz", metavar="HZ")] = None,
+    as_json: Json = False,
+) -> None:
+    """Show what an IF file holds.
+
+    Format, rate, IF, length, mean, r.m.s. and how often each level occurs.
+    """
+    from signals.sigmf_files import open_recording
+    from signals.statistics import summary
+
+    recording = open_recording(file, sample_format=form, sample_rate_hz=rate, if_hz=if_hz)
+    told = summary(recording)
+    if as_json:
+        print(json.dumps(told))
+        return
+    for key, value in told.items():
+        if key == "levels":
+            for level, share in value.items():
+                print(f"{'level ' + level:20} {share:.4f}")
+        else:
+            print(f"{key:20} {value}")

@@ -1,0 +1,142 @@
+"""The sky of a scenario: which sets the satellites use, where they stand, what they say.
+
+Also what lies between them and the antenna: the atmosphere of the broadcast and standard models,
+added to the truth where the scenario has it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+
+import numpy as np
+
+from signals import satellites
+from signals.atmosphere import ionosphere_delay_m, troposphere_delay_m
+from signals.code_start import symbol_span
+from signals.codes import GPS_L1CA
+from signals.constants import C_MPS, CA_CHIP_RATE_HZ, GPS_L1_HZ, OMEGA_EARTH
+from signals.navigation_message import lnav_bits
+from signals.noise import generator
+from signals.nominal import nominal_24
+from signals.propagation import SignalState, elevation_azimuth
+from signals.rinex import read_navigation
+from signals.satellites import TOE, Constellation
+from ultratight.ins.earth import geodetic_from_ecef
+from ultratight.scenario import InvalidInput, Scenario
+
+_TYPICAL_LIGHT_TIME_S = 0.075
+
+
+def constellation(s: Scenario) -> Constellation:
+    """The ephemerides of a scenario: one healthy set per satellite, that of its start.
+
+    Raises
+    ------
+    InvalidInput
+        A navigation file that cannot be used, or no ephemeris at the start.
+    """
+    try:
+        if s.constellation == "embedded":
+            sky = satellites.embedded()
+        elif s.constellation == "nominal-24":
+            sky = nominal_24(s.start_week, s.start_tow_s)
+        else:
+            sky = read_navigation(Path(s.constellation))
+        sky.select(s.start_week, s.start_tow_s)  # refuses a time without any
+    except (ValueError, OSError) as error:
+        raise InvalidInput(f"constellation: {error}{other_sky(s)}") from None
+    return _one_set_each(sky, s.start_week, s.start_tow_s)
+
+
+def other_sky(s: Scenario) -> str:
+    """What to do about the sky of one day."""
+    if s.constellation == "nominal-24":
+        return ""
+    return '; for other places and dates: constellation = "nominal-24", or --nav FILE'
+
+
+def _one_set_each(sky: Constellation, week: int, tow_s: float) -> Constellation:
+    chosen = [sky.choose(week, tow_s, int(p)) for p in np.unique(sky.prn)]
+    keep = [i for i in chosen if i >= 0]
+    arrays = {
+        field.name: getattr(sky, field.name)[keep]
+        for field in dataclasses.fields(sky)
+        if isinstance(getattr(sky, field.name), np.ndarray)
+    }
+    return dataclasses.replace(sky, **arrays)
+
+
+def valid_until_s(sky: Constellation, prn: int, s: Scenario) -> float:
+    """Time since the start at which the satellite's set is 2 h from its toe [s]."""
+    row = sky.rows(np.flatnonzero(sky.prn == prn)[:1], s.start_week)[0]
+    return float(row[TOE]) + satellites.MAX_AGE_S - s.start_tow_s
+
+
+def look(
+    sky: Constellation, prn: int, week: int, tow_s: np.ndarray, r_antenna: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Elevation and azimuth (n,) [rad] of a satellite from r_antenna (n, 3) at GPS times (n,)."""
+    light = np.full(len(tow_s), _TYPICAL_LIGHT_TIME_S)
+    for _ in range(2):  # the second time exact to 1e-9 s
+        r = sky.at(week, tow_s - light, prn)[0]
+        c, s = np.cos(OMEGA_EARTH * light), np.sin(OMEGA_EARTH * light)
+        r = np.stack([c * r[:, 0] + s * r[:, 1], c * r[:, 1] - s * r[:, 0], r[:, 2]], axis=1)
+        distance = np.linalg.norm(r - r_antenna, axis=1)
+        light = distance / C_MPS
+    return elevation_azimuth(r_antenna, (r - r_antenna) / distance[:, None])
+
+
+def data_bits(
+    s: Scenario, seed: int, sky: Constellation, prn: np.ndarray, t_s: np.ndarray
+) -> tuple[int, np.ndarray]:
+    """Number of the first data bit, and the bits (n_channel, n_bit) that any channel can receive.
+
+    LNAV as the satellites send it, or random ones by the scenario's ``data_bits``.
+    """
+    first, n = symbol_span(s.start_tow_s, t_s)
+    if s.data_bits == "random":
+        rows = [
+            1 - 2 * generator(seed, f"data-bits.G{p:02d}").integers(0, 2, n) for p in prn.tolist()
+        ]
+    else:
+        # bit 0 is the one under way at the start, see `code_phase_origin`
+        bit_hz = GPS_L1CA.chip_rate_hz / GPS_L1CA.symbol_chips
+        sent_s = (math.floor(s.start_tow_s * bit_hz) + first) / bit_hz
+        try:
+            rows = [lnav_bits(sky, p, s.start_week, sent_s, n) for p in prn.tolist()]
+        except ValueError as error:
+            raise InvalidInput(f"data_bits: {error}") from None
+    return first, np.stack(rows).astype(np.int8)
+
+
+def with_atmosphere(
+    s: Scenario, sky: Constellation, prn: np.ndarray, r_antenna: np.ndarray, state: SignalState
+) -> SignalState:
+    """The truth with the delays of the scenario's atmosphere; r_antenna (n_node, 3) at its nodes.
+
+    The ionosphere delays the code and advances the carrier, the troposphere delays both.  Linear
+    between the nodes: in 5 ms the rates change by 1e-8 m/s.
+    """
+    a = s.atmosphere
+    if not (a.ionosphere or a.troposphere):
+        return state
+    tow_s = s.start_tow_s + state.t_s
+    lat, lon, h = geodetic_from_ecef(r_antenna)
+    code, carrier = state.code_phase_chips.copy(), state.carrier_phase_cycles.copy()
+    for i, p in enumerate(prn.tolist()):
+        el, az = look(sky, p, s.start_week, tow_s, r_antenna)
+        iono, tropo = np.zeros(len(tow_s)), np.zeros(len(tow_s))
+        if a.ionosphere:
+            alpha, beta = sky.iono_utc.alpha, sky.iono_utc.beta
+            iono = ionosphere_delay_m(lat, lon, az, el, tow_s, alpha, beta)
+        if a.troposphere:
+            tropo = troposphere_delay_m(lat, h, el)
+        for phase, per_m, delay in (
+            (code, CA_CHIP_RATE_HZ / C_MPS, tropo + iono),
+            (carrier, GPS_L1_HZ / C_MPS, tropo - iono),
+        ):
+            phase[i, :, 0] -= per_m * delay[:-1]
+            phase[i, :, 1] -= per_m * np.diff(delay) / np.diff(state.t_s)
+    return state._replace(code_phase_chips=code, carrier_phase_cycles=carrier)

@@ -1,0 +1,94 @@
+"""What the tables of a scenario have in common, and those of air and sensors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+Positive = Annotated[float, Field(gt=0.0, le=1e6)]
+NotNegative = Annotated[float, Field(ge=0.0, le=1e6)]
+Arm = Annotated[float, Field(ge=-1_000.0, le=1_000.0)]
+Tau = Annotated[float, Field(ge=0.01, le=1e9)]
+Ppm = Annotated[float, Field(ge=-1e5, le=1e5)]
+Dbhz = Annotated[float, Field(ge=0.0, le=70.0)]
+
+
+class Table(BaseModel):
+    """A table of keys: frozen, strict, without keys that are not known."""
+
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", strict=True, allow_inf_nan=False, use_attribute_docstrings=True
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _lists_are_tuples(cls, data: Any) -> Any:
+        return {k: _frozen(v) for k, v in data.items()} if isinstance(data, Mapping) else data
+
+
+def _frozen(value: Any) -> Any:
+    return tuple(_frozen(item) for item in value) if isinstance(value, list | tuple) else value
+
+
+class Channel(Table):
+    """What the path does to the signals."""
+
+    cn0_by_prn_dbhz: dict[
+        Annotated[str, Field(pattern=r"^G(0[1-9]|[1-9]\d|1\d\d|20\d|210)$")], Dbhz
+    ] = {}
+    """Satellites that differ from ``cn0_dbhz``: {"G07": 40.0}"""
+    cn0_profile_s_db: tuple[tuple[float, Annotated[float, Field(ge=-70, le=70)]], ...] = ()
+    """(t_s, offset in dB on every satellite), linear between the points, constant outside"""
+
+
+class Atmosphere(Table):
+    """What delays the signals on their way; the receiver of a run corrects for none of it."""
+
+    ionosphere: bool = False
+    """Klobuchar's model with the coefficients of the constellation (IS-GPS-200 20.3.3.5.2.5)"""
+    troposphere: bool = False
+    """Saastamoinen's zenith delay in the standard atmosphere, mapped to the elevation"""
+
+
+class Imu(Table):
+    """The inertial sensors; a key that is left out is as the grade has it."""
+
+    grade: str = "industrial-mems"
+    """A row of sensor data; the keys below that are left out are as it has them"""
+    rate_hz: Annotated[float, Field(ge=10.0, le=10_000.0)] = 200.0
+    lever_arm_b_m: tuple[Arm, Arm, Arm] = (0.0, 0.0, 0.0)
+    """From the IMU to the antenna, forward-right-down"""
+    accel_bias_mg: Annotated[float, Field(ge=0.0, le=1e4)] | None = None
+    """Turn-on, 1 sigma"""
+    accel_bias_in_run_ug: NotNegative | None = None
+    """First-order Gauss-Markov, 1 sigma"""
+    accel_bias_tau_s: Tau | None = None
+    """Its correlation time"""
+    velocity_random_walk_mps_sqrt_s: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
+    """White noise of the accelerometers"""
+    accel_scale_factor_ppm: tuple[Ppm, Ppm, Ppm] | None = None
+    """A fixed error per axis"""
+    accel_scale_factor_alternates: bool = False
+    """The fixed error is taken with + for odd seeds and - for even ones"""
+    accel_scale_factor_sigma_ppm: Annotated[float, Field(ge=0.0, le=1e5)] | None = None
+    """Drawn per axis and run, on top of the fixed error"""
+    misalignment_mrad: Annotated[float, Field(ge=0.0, le=100.0)] | None = None
+    """Of the accelerometers, 1 sigma"""
+    lag_s: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
+    """Time constant of a first-order lag of all sensors"""
+    saturation_g: Positive | None = None
+    """Accelerometers end here; no limit when left out (no grade has one)"""
+    gyro_bias_deg_h: Annotated[float, Field(ge=0.0, le=1e5)] | None = None
+    """Turn-on, 1 sigma"""
+    gyro_bias_in_run_deg_h: Annotated[float, Field(ge=0.0, le=1e5)] | None = None
+    """First-order Gauss-Markov, 1 sigma"""
+    gyro_bias_tau_s: Tau | None = None
+    """Its correlation time"""
+    angle_random_walk_rad_sqrt_s: Annotated[float, Field(ge=0.0, le=0.1)] | None = None
+    """White noise of the gyros"""
+    gyro_scale_factor_ppm: Annotated[float, Field(ge=0.0, le=1e5)] | None = None
+    """1 sigma, drawn per axis and run"""
+    gyro_g_dependence_deg_h_g: Annotated[float, Field(ge=0.0, le=1e4)] | None = None
+    """1 sigma, drawn per axis and run"""
