@@ -106,64 +106,57 @@ class ModelCorrelator:
         _check_symbols(state, symbol_chips)
         whole = own.period // own.per_chip if period_chips is None else period_chips
         self._period_chips = np.broadcast_to(np.asarray(whole, np.int64), (n_channel,))
-        self._t_s = (float(state.t_s[0]), float(state.t_s[-1]))
         self._truth = _truth_table(state, multiple_access, own.kept)
-        symbols = np.ascontiguousarray(state.symbols, dtype=np.int8)
-        self._data = (symbols, int(state.first_symbol), symbol_chips)
-        self._replicas = (self.offset_chips, *own)
-        factor = np.array([tap_factor(own, i, self.offset_chips) for i in range(n_channel)])
-        key = stream_key(seed, "correlator-noise") if noise else np.zeros(0, np.uint32)
-        self._noise = (key, np.ascontiguousarray(prn, dtype=np.int64), factor)
-        self._sample_s = 0.0 if sample_rate_hz is None else 1.0 / sample_rate_hz
-        self._open = (
-            np.zeros((n_channel, 4), np.int64),
-            np.zeros((n_channel, 3)),
-            np.zeros((n_channel, self.offset_chips.size), np.complex128),
-        )
-        self._end_s = math.nan
-        self._checked = b""
+        self._symbols = np.ascontiguousarray(state.symbols, dtype=np.int8)
+        facts = [symbol_chips, own.first, own.period, own.per_chip, prn, self._period_chips]
+        factor = [tap_factor(own, i, self.offset_chips) for i in range(n_channel)]
+        key0, key1 = stream_key(seed, "correlator-noise") if noise else (0, 0)
+        n_tap = self.offset_chips.size
+        # few arrays: each costs a compiled call 0.1 us
+        self._whole = np.concatenate([np.zeros(4 * n_channel), *facts]).astype(np.int64)
+        self._fixed = np.concatenate([self.offset_chips, np.ravel(factor), own.table])
+        self._opened = np.zeros(1 + n_channel * (3 + 2 * n_tap))
+        self._opened[0] = math.nan
+        self._numbers = (
+            n_tap, int(state.first_symbol), int(key0), int(key1), noise,
+            0.0 if sample_rate_hz is None else 1.0 / sample_rate_hz,
+        )  # fmt: skip
 
     def __call__(self, nco: Nco) -> Taps:
         """Correlate over all pieces of the command; return the integrations that ended."""
-        first_s, end_s = float(nco.t_s[0]), float(nco.t_s[-1])
-        self._check(nco, first_s, end_s)
-        if not abs(first_s - self._end_s) <= _TIME_TOLERANCE_S:
-            self._open[0][:, _KNOWN] = 0
-        self._end_s = end_s
         sound, whole, real, iq = _correlate(
-            tuple(nco), self._truth, self._data, self._replicas, self._noise, self._open,
-            self._sample_s,
-        )  # fmt: skip
+            nco, self._truth, self._symbols, self._fixed, self._whole, self._opened, self._numbers
+        )
         if not sound:
-            raise ValueError(_what_is_wrong(nco))
-        channel, number = whole
-        return Taps(channel, number, real[0], real[1], iq, *real[2:])
+            raise ValueError(self._refusal(nco))
+        return Taps(
+            whole[0], whole[1], real[0], real[1], iq, real[2], real[3], real[4], real[5], real[6]
+        )
 
-    def _check(self, nco: Nco, first_s: float, end_s: float) -> None:
-        low, high = self._t_s
+    def _refusal(self, nco: Nco) -> str:
+        """Say what is wrong with a command that the compiled step has refused."""
+        low, high = float(self._truth[0, 0, 0]), float(self._truth[0, -1, 1])
+        first_s, end_s = float(nco.t_s[0]), float(nco.t_s[-1])
         if not low - _TIME_TOLERANCE_S <= first_s <= end_s <= high + _TIME_TOLERANCE_S:
-            raise ValueError(
+            return (
                 f"nco.t_s runs from {first_s} to {end_s} s: expected inside the truth, "
                 f"{low} to {high} s"
             )
-        shape = (nco.t_s.size - 1, len(self._truth))
+        n_channel = len(self._truth)
+        shape = (nco.t_s.size - 1, n_channel)
         for array in nco[1:6]:
             if array.shape != shape:
-                raise ValueError(f"a piece of nco is {array.shape}: expected {shape}")
-        # looked at only when they change: this runs at every epoch
-        checked = nco.dump_chips.tobytes() + nco.valid.tobytes()
-        if checked != self._checked:
-            n_channel = len(self._truth)
-            fits = nco.valid.shape == nco.dump_chips.shape == (n_channel,)
-            if not fits or np.any(
-                nco.valid & ((nco.dump_chips < 1) | (nco.dump_chips % self._period_chips > 0))
-            ):
-                whole = ", ".join(map(str, np.unique(self._period_chips)))
-                raise ValueError(
-                    f"nco.dump_chips is {nco.dump_chips}: expected ({n_channel},) with positive "
-                    f"multiples of {whole} where nco.valid, also ({n_channel},), is set"
-                )
-            self._checked = checked
+                return f"a piece of nco is {array.shape}: expected {shape}"
+        fits = nco.valid.shape == nco.dump_chips.shape == (n_channel,)
+        if not fits or np.any(
+            nco.valid & ((nco.dump_chips < 1) | (nco.dump_chips % self._period_chips > 0))
+        ):
+            whole = ", ".join(map(str, np.unique(self._period_chips)))
+            return (
+                f"nco.dump_chips is {nco.dump_chips}: expected ({n_channel},) with positive "
+                f"multiples of {whole} where nco.valid, also ({n_channel},), is set"
+            )
+        return _what_is_wrong(nco)
 
 
 def _what_is_wrong(nco: Nco) -> str:
@@ -217,23 +210,37 @@ _CHIP_TOLERANCE = 1e-6  # in continuous time a code phase this little past a mul
 
 @kernel
 def _correlate(
-    replica: Any, truth: np.ndarray, data: Any, replicas: Any, noise: Any, state: Any,
-    sample_s: float,
+    nco: Nco, truth: np.ndarray, symbols: np.ndarray, fixed: np.ndarray, whole: np.ndarray,
+    opened: np.ndarray, numbers: Any,
 ) -> tuple[bool, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """All channels over one command -> channel and number, the other rows of `Taps`, iq.
 
-    False first, and nothing done, where the command holds a number that cannot be run.
+    False first, and nothing done, where the command cannot be run.
     """
-    sound, most = _most_dumps(replica)
-    n_tap = replicas[0].size
-    whole = np.empty((2, most), np.int64)
+    n_tap, first_symbol, key0, key1, noisy, sample_s = numbers
+    n = truth.shape[0]
+    position, facts = whole[: 4 * n].reshape((n, 4)), whole[4 * n :].reshape((6, n))
+    sound, most = _most_dumps(nco, truth, facts[5])
+    finished = np.empty((2, most), np.int64)
     real = np.empty((7, most))
     iq = np.empty((most, n_tap), np.complex128)
-    rows = (whole, real, iq, np.zeros(2 * n_tap))
-    n = 0
+    n_dump = 0
     if sound:
-        n = _all_channels(replica, truth, data, replicas, noise, state, sample_s, rows)
-    return sound, whole[:, :n], real[:, :n], iq[:n]
+        if not abs(nco.t_s[0] - opened[0]) <= _TIME_TOLERANCE_S:
+            position[:, _KNOWN] = 0
+        opened[0] = nco.t_s[nco.t_s.size - 1]
+        after = n_tap + n * n_tap * n_tap
+        factor = fixed[n_tap:after].reshape((n, n_tap, n_tap))
+        data = (symbols, first_symbol, facts[0])
+        replicas = (fixed[:n_tap], fixed[after:], facts[1], facts[2], facts[3])
+        noise = (noisy, key0, key1, facts[4], factor)
+        start = opened[1 : 1 + 3 * n].reshape((n, 3))
+        sums = opened[1 + 3 * n :].reshape((n, 2 * n_tap))
+        rows = (finished, real, iq, np.zeros(2 * n_tap))
+        n_dump = _all_channels(
+            nco, truth, data, replicas, noise, (position, start, sums), sample_s, rows
+        )
+    return sound, finished[:, :n_dump], real[:, :n_dump], iq[:n_dump]
 
 
 @borrowing
@@ -261,17 +268,29 @@ def _all_channels(
 
 
 @borrowing
-def _most_dumps(replica: Any) -> tuple[bool, int]:
-    """Are chip rates positive and all numbers finite?  Bound on the integrations that can end."""
-    t_s, code, chip_rate, carrier, freq, rate, dump_chips, valid = replica
+def _most_dumps(nco: Nco, truth: np.ndarray, period_chips: np.ndarray) -> tuple[bool, int]:
+    """Can the command be run?  Bound on the integrations that can end."""
+    t_s, code, chip_rate, carrier, freq, rate, dump_chips, valid = nco
+    n_piece, n = t_s.size - 1, truth.shape[0]
+    low = truth[0, 0, 0] - _TIME_TOLERANCE_S
+    high = truth[0, truth.shape[1] - 1, 1] + _TIME_TOLERANCE_S
+    fits = valid.size == n and dump_chips.size == n and low <= t_s[0] <= t_s[n_piece] <= high
+    for array in (code, chip_rate, carrier, freq, rate):
+        fits = fits and array.shape[0] == n_piece and array.shape[1] == n
+    if not fits:
+        return False, 0
     most = 0.0
-    for i in range(valid.size):
+    for i in range(n):
         if valid[i]:
-            for p in range(t_s.size - 1):
+            if dump_chips[i] < 1 or dump_chips[i] % period_chips[i] > 0:
+                return False, 0
+            fastest = 0.0
+            for p in range(n_piece):
                 total = code[p, i] + chip_rate[p, i] + carrier[p, i] + freq[p, i] + rate[p, i]
                 if not (math.isfinite(total) and chip_rate[p, i] > 0.0):
                     return False, 0
-                most += 2.0 + chip_rate[p, i] * (t_s[p + 1] - t_s[p]) / dump_chips[i]
+                fastest = max(fastest, chip_rate[p, i])
+            most += 2.0 * n_piece + fastest * (t_s[n_piece] - t_s[0]) / dump_chips[i]
     return True, int(most)
 
 
@@ -336,25 +355,27 @@ def _finish(
 ) -> int:
     """Write the sums of channel i, which end at t, as row n; returns the next row."""
     position, start, sums = state
-    key, prn, factor = noise
+    noisy, key0, key1, prn, factor = noise
     whole, real, iq, draw = rows
     length = t - start[i, 0]
     if length <= 0.0:
         return n
-    if key.size > 0:
+    if noisy:
         first_chip = position[i, _INDEX] * position[i, _DUMP]
         normals(
-            key[0], key[1], first_chip & 0xFFFFFFFF, (first_chip >> 32) & 0xFFFFFFFF,
+            key0, key1, first_chip & 0xFFFFFFFF, (first_chip >> 32) & 0xFFFFFFFF,
             position[i, _DUMP], prn[i] << 16, draw,
         )  # fmt: skip
     gain = math.sqrt(2.0 / length)
     spread = truth[i, truth_piece(truth, i, t), SPREAD]
-    for k in range(sums.shape[1]):
+    for k in range(iq.shape[1]):
         re, im = 0.0, 0.0
         for m in range(k + 1):
             re += factor[i, k, m] * draw[2 * m]
             im += factor[i, k, m] * draw[2 * m + 1]
-        iq[n, k] = gain * sums[i, k] + spread * complex(re, im)
+        iq[n, k] = complex(
+            gain * sums[i, 2 * k] + spread * re, gain * sums[i, 2 * k + 1] + spread * im
+        )
     whole[0, n], whole[1, n] = i, position[i, _INDEX]
     real[0, n], real[1, n], real[2, n] = start[i, 0], t, 1.0
     real[3, n], real[5, n] = start[i, 1], start[i, 2]

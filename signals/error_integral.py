@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from signals.compiled import FAST_SUM, borrowing
+from signals.elementary_double import cos_sin
 from signals.front_end import GUARD_SAMPLES
 
 TRUTH_COLUMNS = 12
@@ -64,10 +65,10 @@ def integrate(
     i: int, a: float, b: float, line: Any, truth: np.ndarray, data: Any, replicas: Any,
     sums: np.ndarray, sample_s: float,
 ) -> None:  # fmt: skip
-    """Add int sqrt(C/N0) D R(e + d) exp(j 2 pi phi) dt over [a, b) to sums[i] (n_tap,).
+    """Add int sqrt(C/N0) D R(e + d) exp(j 2 pi phi) dt over [a, b) to sums[i]: I, Q of each tap.
 
     ``data`` is (symbols, first symbol, chips per symbol (n_channel,)), ``replicas`` the offsets
-    and the fields of a `correlations.Correlations`.
+    and the first fields of a `correlations.Correlations`.
     """
     symbols, first_symbol, symbol_chips = data
     p = truth_piece(truth, i, a)
@@ -137,7 +138,7 @@ def _between_symbols(
 
     Between kinks R(e + d) is straight, so two moments serve all taps: int w and int (e - e_mid) w.
     """
-    offset_chips, table, first, period, per_chip, _ = replicas
+    offset_chips, table, first, period, per_chip = replicas
     steps, length = float(per_chip[i]), period[i]
     while a < b:
         stop = b
@@ -151,9 +152,13 @@ def _between_symbols(
         for k in range(offset_chips.size):
             x = steps * (e[0] + offset_chips[k])
             lag = math.floor(x)
-            j = first[i] + int(lag - length * math.floor(lag / length))
+            j = first[i] + lag
+            if lag < 0 or lag >= length:
+                j -= length * (lag // length)
             slope = table[j + 1] - table[j]
-            sums[i, k] += gain * ((table[j] + slope * (x - lag)) * zero + slope * steps * one)
+            level, slope = gain * (table[j] + slope * (x - lag)), gain * slope * steps
+            sums[i, 2 * k] += level * zero.real + slope * one.real
+            sums[i, 2 * k + 1] += level * zero.imag + slope * one.imag
         a = stop
 
 
@@ -198,8 +203,8 @@ def _rule(middle: float, half: float, e: Any, phi: Any) -> tuple[complex, comple
     zero, one = 0.0j, 0.0j
     for k in range(_NODE.size):
         s = middle + half * _NODE[k]
-        angle = 2.0 * math.pi * _value(phi, s)
-        w = half * _WEIGHT[k] * complex(math.cos(angle), math.sin(angle))
+        c, q = cos_sin(_value(phi, s))
+        w = half * _WEIGHT[k] * complex(c, q)
         zero += w
         one += s * (e[1] + s * (e[2] + s * e[3])) * w
     return zero, one
@@ -223,6 +228,6 @@ def _short_rule(half: float, e: Any, phi: Any) -> tuple[complex, complex]:
         zero_s += _SHORT_WEIGHT[k] * si
         one_c += _SHORT_WEIGHT[k] * drift * c
         one_s += _SHORT_WEIGHT[k] * drift * si
-    angle = 2.0 * math.pi * phi[0]
-    turn = half * complex(math.cos(angle), math.sin(angle))
+    cosine, sine = cos_sin(phi[0])
+    turn = half * complex(cosine, sine)
     return turn * complex(zero_c, zero_s), turn * complex(one_c, one_s)

@@ -16,6 +16,7 @@ import numpy as np
 
 from signals.compiled import kernel
 from signals.elementary import cos_sin, log, wrap
+from signals.elementary_double import normal_pair
 
 CELL = 1024
 """Samples in a cell of `complex_gaussian_cell`: sample j and j + CELL / 2 share a counter"""
@@ -130,8 +131,7 @@ def normals(key0: int, key1: int, c0: int, c1: int, c2: int, c3_base: int, out: 
         for pair in range(2):
             m = 4 * block + 2 * pair
             if m < n:
-                radius = math.sqrt(-2.0 * math.log((float(words[2 * pair]) + 0.5) * 2.0**-32))
-                angle = float(words[2 * pair + 1]) * (2.0 * math.pi * 2.0**-32)
-                out[m] = radius * math.cos(angle)
+                x, y = normal_pair(words[2 * pair], words[2 * pair + 1])
+                out[m] = x
                 if m + 1 < n:
-                    out[m + 1] = radius * math.sin(angle)
+                    out[m + 1] = y
