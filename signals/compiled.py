@@ -4,6 +4,7 @@ numba's disk cache notices a change in the file of a function, not in a function
 from another module.  The cache folder of a module's kernels is therefore keyed by a hash of its
 source and of *all* sources that it imports, directly or not, from its own package and from
 `signals`: edited code never meets an old binary, and an edit elsewhere compiles nothing anew.
+Where `signals.cpu` is among them, so is the path in force: paths never mix.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from functools import cache, partial
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +59,9 @@ def _cache_dir(module: str) -> str | None:
     for name, text in sources:
         digest.update(name.encode())
         digest.update(text.encode())
+    chooser = f"{__name__.rpartition('.')[0]}.cpu"
+    if chooser in dict(sources):
+        digest.update(import_module(chooser).path().encode())
     folder = _cache_root() / digest.hexdigest()[:16]
     try:
         if not folder.exists():

@@ -108,6 +108,25 @@ def emit_store(builder: Any, value: Any, pointer: Any, index: Any) -> None:
     builder.store(value, at, align=_bytes(element))
 
 
+def emit_split_int8(builder: Any, pointer: Any, index: Any, lanes: int) -> tuple[Any, Any]:
+    """I and Q as float32 of interleaved int8 samples ``index`` and on."""
+    wide = ir.VectorType(I32, lanes)
+    pairs = builder.sext(emit_load(builder, pointer, index, lanes, I16), wide)
+    i = builder.ashr(builder.shl(pairs, same(I32, 24, lanes)), same(I32, 24, lanes))
+    q = builder.ashr(pairs, same(I32, 8, lanes))
+    floats = ir.VectorType(F32, lanes)
+    return builder.sitofp(i, floats), builder.sitofp(q, floats)
+
+
+def emit_split_float32(builder: Any, pointer: Any, index: Any, lanes: int) -> tuple[Any, Any]:
+    """I and Q of interleaved float32 samples ``index`` and on."""
+    at = builder.shl(index, int64(1))
+    a = emit_load(builder, pointer, at, lanes)
+    b = emit_load(builder, pointer, builder.add(at, int64(lanes)), lanes)
+    i, q = (builder.shuffle_vector(a, b, vector(I32, range(k, 2 * lanes, 2))) for k in (0, 1))
+    return i, q
+
+
 def _bytes(element: ir.Type) -> int:
     return 4 if element == F32 else element.width // 8
 

@@ -69,6 +69,12 @@ def replicas(rows: Sequence[np.ndarray], per_chip: Sequence[int] | int = 1) -> R
     )
 
 
+def index_delays(waveforms: Replicas, offset_chips: np.ndarray) -> np.ndarray:
+    """Delays (n_channel, n_tap) modulo the period, int64 [2^-32 sub-chips]; `behind`."""
+    sub_chips = np.outer(waveforms.per_chip, offset_chips)
+    return np.rint((sub_chips % waveforms.length[:, None]) * TURN).astype(np.int64)
+
+
 def replica_table(chips: np.ndarray) -> np.ndarray:
     """Two code periods and a chip (n_channel, 2 length + 1) float32: no wrap inside a cell."""
     return np.ascontiguousarray(np.hstack([chips, chips, chips[:, :1]]), np.float32)
@@ -114,3 +120,25 @@ def code_steps(start: float, per_sample: float, length: int) -> tuple[Any, Any]:
     """Fixed-point code phase modulo ``length`` and its step per sample [chips 2^32]."""
     base = np.uint64((start - math.floor(start / length) * length) * TURN)
     return base, np.uint64(np.rint(per_sample * TURN))
+
+
+@kernel
+def index_step(chips_per_sample: float, per_chip: int) -> Any:
+    """Step per sample of a table index, int64 [2^-32 sub-chips]."""
+    return np.int64(np.rint(chips_per_sample * per_chip * TURN))
+
+
+@kernel
+def index_phase(chips: float, per_chip: int, length: int) -> Any:
+    """Code phase modulo the ``length`` sub-chips of the period, int64 [2^-32 sub-chips]."""
+    index = chips * per_chip
+    index -= math.floor(index / length) * length
+    # the quotient may round up to a whole number that the phase has not reached
+    return np.int64(max(index, 0.0) * TURN)
+
+
+@kernel
+def behind(phase: Any, delay: Any, turn: Any) -> Any:
+    """A phase less a delay, both within the period ``turn``, modulo the period."""
+    late = phase - delay
+    return late if late >= 0 else late + turn

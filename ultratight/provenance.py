@@ -9,6 +9,7 @@ from typing import Any
 from llvmlite import binding
 from numba.core import config as numba_config
 
+from signals import cpu
 from ultratight.scenario import Scenario
 
 _FILES = {"constellation": "navigation_sha256", "trajectory": "trajectory_sha256"}
@@ -29,10 +30,11 @@ def provenance(scenario: Scenario, seed: int) -> dict[str, Any]:
 
 
 def cpu_path() -> str:
-    """``numba:`` and the CPU that kernels are compiled for, or ``python`` where they are not."""
-    if numba_config.DISABLE_JIT:
-        return "python"
-    return f"numba:{numba_config.CPU_NAME or binding.get_host_cpu_name()}"
+    """Path of the vector kernels, see `signals.cpu`, and the CPU that kernels are compiled for."""
+    path = cpu.path()
+    if path == "python":
+        return path
+    return f"{path}:{numba_config.CPU_NAME or binding.get_host_cpu_name()}"
 
 
 def _version(package: str) -> str:

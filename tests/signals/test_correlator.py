@@ -10,6 +10,7 @@ from signals.constants import C_MPS, CA_CHIP_RATE_HZ, GPS_L1_HZ
 from signals.correlator import SampleCorrelator
 from signals.front_end import SyntheticIf
 from signals.nco import Nco, Taps
+from signals.plan import SPAN
 from signals.recording import Recording
 
 FS = 4.0e6  # 4000 samples per 1023 chips: the awkward, commensurate case
@@ -240,7 +241,7 @@ def test_bits_do_not_depend_on_source_block_or_threads(command, monkeypatch):
     nco = command([0.0, 0.02], [300.3, 1e4, 7.0], 0.0, [-2000.0, 40.0, 1.0])
     whole = SampleCorrelator(source, chips(3), OFFSETS)(nco)
     threads = SampleCorrelator(source, chips(3), OFFSETS, workers=2)(nco)
-    monkeypatch.setattr("signals.correlator._BLOCK", 3 * 1024)
+    monkeypatch.setattr("signals.correlator._BLOCK", 3 * SPAN)
     blocks = SampleCorrelator(Chopped(source), chips(3), OFFSETS)(nco)
     for other in (threads, blocks):
         for column, expected in zip(other, whole, strict=True):

@@ -1,0 +1,248 @@
+"""What a correlator sums, and what of it ends where: the command as a list of parts of cells.
+
+A cell is at most `SPAN` samples that end at a multiple of it or at the end of a piece of the
+command; carrier and code of a channel are re-based in float64 at its start.  A *part* of a cell
+belongs to one integration of one channel.  Engines fill the sums of the parts; no sample is
+touched here.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from signals.compiled import kernel
+from signals.front_end import GUARD_SAMPLES
+from signals.lanes_correlator import PHASE_BITS, SPAN
+from signals.nco import Nco, Taps
+
+# columns of Work.cells
+FIRST, SAMPLES, PIECE = 0, 1, 2
+# columns of Work.whole
+CELL, START, END, SLOT, BASE, STEP = 0, 1, 2, 3, 4, 5
+# columns of Work.real
+CHIPS, CHIPS_PER_SAMPLE, BEND = 0, 1, 2
+
+
+class Work(NamedTuple):
+    """What is to be summed in a block of samples; a channel's parts are in order of time.
+
+    Part ``START`` <= j < ``END`` of cell ``CELL`` goes to the sums of slot ``SLOT``.  Its code
+    phase is ``CHIPS`` at sample START and grows by ``CHIPS_PER_SAMPLE``.  Its carrier at sample
+    j of the cell is BASE + STEP j + BEND j (SAMPLES - j), with ``BASE`` and ``STEP`` in 2^-48
+    cycles, ``BEND`` in 2^-32 cycles.
+    """
+
+    cells: np.ndarray  # (n_cell, 3) int64: first sample in the block, samples, piece
+    parts: np.ndarray  # (n_channel,) int64: how many
+    whole: np.ndarray  # (n_channel, n_part, 6) int64
+    real: np.ndarray  # (n_channel, n_part, 3)
+
+
+class Rows(NamedTuple):
+    """Integrations that ended, of each channel."""
+
+    ended: np.ndarray  # (n_channel,) int64: how many
+    whole: np.ndarray  # (n_channel, n_row, 4) int64: number, slot, first and end sample
+    phases: np.ndarray  # (n_channel, n_row, 4): code and carrier at the first, at the end sample
+
+
+class State(NamedTuple):
+    """What persists between blocks and calls."""
+
+    position: np.ndarray  # (n_channel, 6) int64: known, open, number, first sample, dump, slot
+    phases: np.ndarray  # (n_channel, 2): code and carrier at the first sample
+    sums: np.ndarray  # (n_channel, n_tap, 2): of the integration that was open when a call ended
+
+
+# ---- kernels ---------------------------------------------------------------------------------
+
+_CYCLE = 2.0**PHASE_BITS
+_TURN = 2.0**32
+# columns of State.position and of Rows.whole
+_KNOWN, _OPEN, _NUMBER, _SINCE, _DUMP, _SLOT = 0, 1, 2, 3, 4, 5
+_ROW_NUMBER, _ROW_SLOT, _ROW_FIRST, _ROW_END = 0, 1, 2, 3
+
+
+@kernel
+def room(nco: Nco, fs: float, edge: np.ndarray) -> int:
+    """First samples of the pieces into ``edge`` (n_piece + 1,), see `first_sample_at`.
+
+    Returns how many integrations may end in a channel; -1 if a number of the command, of a valid
+    channel, cannot be run.
+    """
+    most, last = 0, nco.t_s.size - 1
+    for p in range(last + 1):
+        if not (math.isfinite(nco.t_s[p]) and (p == 0 or nco.t_s[p] > nco.t_s[p - 1])):
+            return -1
+        edge[p] = math.ceil(nco.t_s[p] * fs - GUARD_SAMPLES)
+    for channel in range(nco.valid.size):
+        if nco.valid[channel]:
+            chips = 0.0
+            for p in range(last):
+                rate = nco.chip_rate_hz[p, channel]
+                sum_ = nco.code_phase_chips[p, channel] + nco.carrier_phase_cycles[p, channel]
+                sum_ += nco.carrier_freq_hz[p, channel] + nco.carrier_rate_hz_per_s[p, channel]
+                if not (math.isfinite(sum_) and 0.0 < rate <= fs):
+                    return -1
+                chips += rate * (nco.t_s[p + 1] - nco.t_s[p])
+            if nco.dump_chips[channel] < 1:
+                return -1
+            most = max(most, int(chips / nco.dump_chips[channel]) + 3 * last)
+    return most
+
+
+@kernel(inline="always")
+def _code(line: Any, dt: float) -> float:
+    """NCO code phase [chips]; ``line`` is the command of one channel in one piece."""
+    return line[0] + line[1] * dt
+
+
+@kernel(inline="always")
+def _carrier(line: Any, dt: float) -> float:
+    """NCO carrier phase [cycles]."""
+    return line[2] + dt * (line[3] + 0.5 * line[4] * dt)
+
+
+@kernel
+def _phases(line: Any, dt: float, n: int, start: int, fs: float, if_hz: float) -> Any:
+    """Base, step and bend of carrier and intermediate frequency over n samples from dt.
+
+    A parabola is its chord less rate / 2 (n / fs)^2 / 4 at the middle.
+    """
+    ratio = if_hz / fs
+    phase = _carrier(line, dt) + start * ratio
+    per_sample = (line[3] + line[4] * (dt + 0.5 * n / fs)) / fs + ratio
+    base = np.int64((phase - math.floor(phase)) * _CYCLE)
+    return base, np.int64(np.rint(per_sample * _CYCLE)), -0.5 * line[4] / (fs * fs) * _TURN
+
+
+@kernel
+def plan(
+    first: int, end: int, fs: float, if_hz: float, nco: Nco, edge: np.ndarray, state: State,
+    rows: Rows, work: Work,
+) -> int:  # fmt: skip
+    """Fill ``work`` for samples first ... end - 1 and ``rows`` with what ends; number of cells."""
+    n_cell = 0
+    for p in range(edge.size - 1):
+        start, stop = max(edge[p], first), min(edge[p + 1], end)
+        while start < stop:
+            n = min(start - start % SPAN + SPAN, stop) - start
+            work.cells[n_cell, FIRST] = start - first
+            work.cells[n_cell, SAMPLES] = n
+            work.cells[n_cell, PIECE] = p
+            n_cell += 1
+            start += n
+    for channel in range(nco.valid.size):
+        if nco.valid[channel]:
+            _channel(channel, n_cell, first, fs, if_hz, nco, state, rows, work)
+        else:
+            state.position[channel, _KNOWN] = 0
+            work.parts[channel] = 0
+    return n_cell
+
+
+@kernel
+def _under_way(x: float, dump: int, chips_per_sample: float) -> tuple[int, bool]:
+    """Number of the integration at code phase x, and whether x is its first sample."""
+    tolerance = GUARD_SAMPLES * chips_per_sample
+    number = math.floor((x + tolerance) / dump)
+    return number, x - number * dump < chips_per_sample - tolerance
+
+
+@kernel
+def _channel(
+    channel: int, n_cell: int, block: int, fs: float, if_hz: float, nco: Nco, state: State,
+    rows: Rows, work: Work,
+) -> None:  # fmt: skip
+    """Parts of a channel, and the integrations that end."""
+    t_s, code, chip_rate, cycles, freq, rate, dumps, _ = nco
+    cells, _, whole, real = work
+    position, dump = state.position[channel], dumps[channel]
+    known = position[_KNOWN] == 1 and position[_DUMP] == dump
+    is_open, number, since = position[_OPEN] == 1, position[_NUMBER], position[_SINCE]
+    begun = state.phases[channel, 0], state.phases[channel, 1]
+    part, row, slot = 0, rows.ended[channel], position[_SLOT]
+    for cell in range(n_cell):
+        start, n, p = block + cells[cell, FIRST], cells[cell, SAMPLES], cells[cell, PIECE]
+        line = (
+            code[p, channel], chip_rate[p, channel],
+            cycles[p, channel], freq[p, channel], rate[p, channel],
+        )  # fmt: skip
+        dt = start / fs - t_s[p]
+        x, slope = _code(line, dt), line[1] / fs
+        if not (known and abs(x - (number + 0.5) * dump) <= dump):
+            known = True
+            number, is_open = _under_way(x, dump, slope)
+            slot, since, begun = slot + 1, start, (x, _carrier(line, dt))
+        base, step, bend = _phases(line, dt, n, start, fs, if_hz)
+        a = 0
+        while a < n:
+            # first sample at or past the end of the integration under way
+            bound = max(a, math.ceil(((number + 1) * dump - x) / slope - GUARD_SAMPLES))
+            b = min(bound, n)
+            if is_open and b > a:
+                whole[channel, part, CELL], whole[channel, part, SLOT] = cell, slot
+                whole[channel, part, START], whole[channel, part, END] = a, b
+                whole[channel, part, BASE], whole[channel, part, STEP] = base, step
+                real[channel, part, CHIPS] = x + slope * a
+                real[channel, part, CHIPS_PER_SAMPLE], real[channel, part, BEND] = slope, bend
+                part += 1
+            if bound >= n:
+                break
+            a = bound
+            dt_a = (start + a) / fs - t_s[p]
+            now = _code(line, dt_a), _carrier(line, dt_a)
+            if is_open:
+                _finish(rows, channel, row, (number, slot, since, start + a), begun, now)
+                row += 1
+            number, is_open, slot, since, begun = number + 1, True, slot + 1, start + a, now
+    rows.ended[channel], work.parts[channel] = row, part
+    position[_KNOWN], position[_OPEN], position[_DUMP] = int(known), int(is_open), dump
+    position[_NUMBER], position[_SINCE], position[_SLOT] = number, since, slot
+    state.phases[channel, 0], state.phases[channel, 1] = begun
+
+
+@kernel
+def _finish(
+    rows: Rows, channel: int, row: int, whole: tuple[int, int, int, int],
+    begun: tuple[float, float], now: tuple[float, float],
+) -> None:  # fmt: skip
+    """Write an integration of a channel as its next row."""
+    for k in range(4):
+        rows.whole[channel, row, k] = whole[k]
+    rows.phases[channel, row, 0], rows.phases[channel, row, 1] = begun
+    rows.phases[channel, row, 2], rows.phases[channel, row, 3] = now
+
+
+@kernel
+def collect(rows: Rows, sums: np.ndarray, state: State, fs: float, sigma: float) -> Taps:
+    """Rows of all channels, one after the other; the open sums are kept for the next call.
+
+    ``sums`` is (n_channel, n_slot, n_tap, 2).
+    """
+    n = rows.ended.sum()
+    channel, number = np.empty(n, np.int64), np.empty(n, np.int64)
+    iq, r = np.empty((n, sums.shape[2]), np.complex128), np.empty((6, n))
+    k = 0
+    for c in range(rows.ended.size):
+        for row in range(rows.ended[c]):
+            channel[k], number[k] = c, rows.whole[c, row, _ROW_NUMBER]
+            first, end = rows.whole[c, row, _ROW_FIRST], rows.whole[c, row, _ROW_END]
+            r[0, k], r[1, k] = first / fs, end / fs
+            for m in range(4):
+                r[2 + m, k] = rows.phases[c, row, m]
+            scale = 1.0 / (sigma * math.sqrt(end - first))
+            slot = rows.whole[c, row, _ROW_SLOT]
+            for tap in range(sums.shape[2]):
+                i, q = sums[c, slot, tap, 0], sums[c, slot, tap, 1]
+                iq[k, tap] = complex(i * scale, q * scale)
+            k += 1
+        slot = state.position[c, _SLOT]
+        for tap in range(sums.shape[2]):
+            for m in range(2):
+                state.sums[c, tap, m] = sums[c, slot, tap, m]
+        state.position[c, _SLOT] = 0
+    return Taps(channel, number, r[0], r[1], iq, np.ones(n), r[2], r[4], r[3], r[5])
