@@ -36,7 +36,8 @@ FAST_SUM = {"reassoc", "contract", "arcp", "nsz"}
 """The only fast-math flags in use: sums may be reordered; NaN and inf keep their meaning."""
 
 
-def _cache_root() -> Path:
+def cache_root() -> Path:
+    """Folder that holds the caches of all modules and versions of their sources."""
     named = os.environ.get("ULTRATIGHT_CACHE_DIR") or os.environ.get("NUMBA_CACHE_DIR")
     if named:
         return Path(named)
@@ -47,6 +48,11 @@ def _cache_root() -> Path:
     else:
         base = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
     return base / "ultratight"
+
+
+def cache_is_writable() -> bool:
+    """Are compiled kernels kept for the next process?"""
+    return _cache_dir(__name__) is not None
 
 
 @cache
@@ -62,7 +68,7 @@ def _cache_dir(module: str) -> str | None:
     chooser = f"{__name__.rpartition('.')[0]}.cpu"
     if chooser in dict(sources):
         digest.update(import_module(chooser).path().encode())
-    folder = _cache_root() / digest.hexdigest()[:16]
+    folder = cache_root() / digest.hexdigest()[:16]
     try:
         if not folder.exists():
             _prune(folder.parent)

@@ -86,6 +86,17 @@ def run(
 
 
 @app.command()
+def doctor(as_json: Json = False) -> None:
+    """Say which kernels run on this machine, and check them against the reference."""
+    from ultratight import doctor as examiner
+
+    told = examiner.examine()
+    print(json.dumps(told) if as_json else "\n".join(examiner.lines(told)))
+    if not told["healthy"]:
+        raise typer.Exit(FAILED)
+
+
+@app.command()
 def scenarios(
     name: Annotated[
         str | None, typer.Option("--print", metavar="NAME", help="print one as TOML, every key")

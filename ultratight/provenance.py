@@ -17,7 +17,6 @@ _FILES = {"constellation": "navigation_sha256", "trajectory": "trajectory_sha256
 
 def provenance(scenario: Scenario, seed: int) -> dict[str, Any]:
     """What one needs to repeat the run: scenario hash, seed, versions, CPU path."""
-    names = ("ultratight", "numpy", "scipy", "numba")
     files = scenario.files_sha256()
     return {
         "scenario_sha256": scenario.digest(),
@@ -25,8 +24,14 @@ def provenance(scenario: Scenario, seed: int) -> dict[str, Any]:
         "seed": seed,
         "cpu_path": cpu_path(),
         "machine": platform.machine(),
-        "versions": {"python": platform.python_version()} | {n: _version(n) for n in names},
+        "versions": versions(),
     }
+
+
+def versions() -> dict[str, str]:
+    """Of Python and of what a result depends on."""
+    names = ("ultratight", "numpy", "scipy", "numba", "llvmlite")
+    return {"python": platform.python_version()} | {n: _version(n) for n in names}
 
 
 def cpu_path() -> str:
