@@ -7,12 +7,15 @@ from datetime import datetime, timedelta
 from signals.constants import WEEK_S
 
 _EPOCH = datetime(1980, 1, 6)
-# UTC instants from which GPS - UTC is 1, 2, 3 ... s
-_STEPS = (
-    (1981, 7), (1982, 7), (1983, 7), (1985, 7), (1988, 1), (1990, 1), (1991, 1), (1992, 7),
-    (1993, 7), (1994, 7), (1996, 1), (1997, 7), (1999, 1), (2006, 1), (2009, 1), (2012, 7),
-    (2015, 7), (2017, 1),
+
+LEAP_DAYS = (
+    542, 907, 1272, 2003, 2917, 3648, 4013, 4560, 4925, 5290, 5839, 6386, 6935, 9492, 10_588,
+    11_865, 12_960, 13_510,
 )  # fmt: skip
+"""Days after 1980-01-06 at whose start (UTC) GPS - UTC grew by one second, to 1, 2 ... 18 s
+
+(IERS Bulletin C: 1981-07-01 to 2017-01-01)
+"""
 
 
 def gps_minus_utc_s(week: int, tow_s: float) -> int:
@@ -33,7 +36,4 @@ def utc_text(week: int, tow_s: float) -> str:
 
 def _starts() -> list[float]:
     """GPS times [s since the epoch] at which the steps have been taken."""
-    return [
-        (datetime(year, month, 1) - _EPOCH).total_seconds() + k
-        for k, (year, month) in enumerate(_STEPS, 1)
-    ]
+    return [86_400.0 * day + k for k, day in enumerate(LEAP_DAYS, 1)]

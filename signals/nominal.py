@@ -8,6 +8,7 @@ import numpy as np
 
 from signals import satellites as s
 from signals.constants import GM_GPS, OMEGA_EARTH, WEEK_S
+from signals.gps_time import LEAP_DAYS, gps_minus_utc_s
 from signals.lnav_fields import quantise
 from signals.satellites import MAX_AGE_S, N_ELEMENT, NO_IONO_UTC, Constellation, IonoUtc
 
@@ -29,13 +30,6 @@ _SLOT_A = 26_559_700.0  # [m]
 _SLOT_INCLINATION = math.radians(55.0)
 # GPS time of the epoch: 1993-07-01 is day 4925 after 1980-01-06; GPS - UTC was 9 s
 _SLOT_EPOCH_S = 4925 * 86_400.0 + 9.0
-
-# Days after 1980-01-06 at whose start (UTC) GPS - UTC grew by one second, to 1, 2 ... 18 s
-# (IERS Bulletin C: 1981-07-01 to 2017-01-01)
-_LEAP_DAYS = (
-    542, 907, 1272, 2003, 2917, 3648, 4013, 4560, 4925, 5290, 5839, 6386, 6935, 9492, 10_588,
-    11_865, 12_960, 13_510,
-)  # fmt: skip
 
 
 def nominal_24(week: int, tow_s: float) -> Constellation:
@@ -87,10 +81,10 @@ def nominal_24(week: int, tow_s: float) -> Constellation:
 
 def leap_seconds(gps_s: float) -> IonoUtc:
     """UTC parameters of a moment, GPS seconds since 1980-01-06; no ionosphere."""
-    past = sum(gps_s >= 86_400.0 * day + k for k, day in enumerate(_LEAP_DAYS, 1))
+    past = gps_minus_utc_s(0, gps_s)
     if past == 0:
         return NO_IONO_UTC
-    eve = _LEAP_DAYS[past - 1] - 1  # the leap second ends that day; 1 is Sunday
+    eve = LEAP_DAYS[past - 1] - 1  # the leap second ends that day; 1 is Sunday
     # sent modulo 256 and, when past, kept within 127 weeks of the present (20.3.3.5.2.4)
     week = int(gps_s // WEEK_S)
     return IonoUtc(

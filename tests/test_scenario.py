@@ -156,6 +156,31 @@ def test_a_navigation_file_counts_by_its_content(tmp_path: Path) -> None:
     assert "navigation_sha256" not in provenance(load("jump-1"), 1)
 
 
+def test_a_trajectory_file_is_found_beside_the_scenario_and_counts_by_content(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "flight.csv").write_text("t_s,x_m,y_m,z_m\n0,6.4e6,0,0\n60,6.4e6,0,0\n")
+    file = tmp_path / "own.toml"
+    file.write_text('extends = "static"\ntrajectory = "flight.csv"\n')
+    scenario = load(file)
+    assert scenario.trajectory == str(tmp_path / "flight.csv")
+    assert provenance(scenario, 1)["trajectory_sha256"] == scenario.files_sha256()["trajectory"]
+    before = scenario.digest()
+    (tmp_path / "flight.csv").write_text("t_s,x_m,y_m,z_m\n0,6.4e6,0,0\n60,6.4e6,0,1\n")
+    assert scenario.digest() != before
+    with pytest.raises(InvalidInput, match=r'trajectory: "none.csv" given, expected a trajectory'):
+        load("static", {"trajectory": "none.csv"})
+    with pytest.raises(InvalidInput, match="expected no profile beside it"):
+        load("jump-1", {"trajectory": str(tmp_path / "flight.csv")})
+
+
+def test_what_the_receiver_does_not_know_of_the_air_is_said() -> None:
+    assert load("static").warnings() == []
+    lines = load("static", {"atmosphere.troposphere": True}).warnings()
+    assert len(lines) == 1
+    assert "corrects nothing" in lines[0]
+
+
 def test_another_world_does_not_keep_title_and_reason(tmp_path: Path) -> None:
     changed = load("jump-1", ["imu.lag_s=0", "profile=[]", "receiver.filter=kf"])
     assert (changed.title, changed.why) == ("jump-1, changed: imu, profile", "")

@@ -90,7 +90,7 @@ def _correlator_error() -> float:
     )  # fmt: skip
     source = Recording(samples, fs, 0.0, 24.0)
     taps = SampleCorrelator(source, chips, offsets)(nco)
-    return relative_error(taps.iq, taps_by_definition(source, chips, offsets, nco, taps))
+    return relative_error(taps.iq, taps_by_definition(source, list(chips), offsets, nco, taps))
 
 
 def lines(told: dict[str, Any]) -> Iterator[str]:
