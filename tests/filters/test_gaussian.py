@@ -11,6 +11,7 @@ from scipy.stats import chi2, multivariate_normal
 from ultratight.filters.gaussian import (
     Gaussian,
     Measurement,
+    Update,
     predict,
     update,
 )
@@ -214,3 +215,20 @@ def test_bad_shapes_are_named(make):
         update(state, measurement._replace(R=measurement.R[:2]), rule)
     with pytest.raises(ValueError, match="A: shape"):
         update(state, measurement._replace(A=measurement.A[:, :, :4]), rule)
+
+
+@pytest.mark.nojit
+def test_fields_of_an_update_that_nobody_gave(make):
+    state, measurement = make.problem("phase", 2)
+    u = update(state, measurement, RULES["gh3"])
+    S, gain = u.S, u.gain
+    np.testing.assert_allclose(u.variance(), np.diag(S), rtol=1e-13)
+    again = update(state, measurement, RULES["gh3"])
+    np.testing.assert_allclose(again.variance(1, 3), np.diag(S)[1::3], rtol=1e-13)
+    other = u._replace(gain=2.0 * gain, lam=3.0)
+    np.testing.assert_array_equal(other.gain, 2.0 * gain)
+    assert (other.lam, u.lam, other.nis) == (3.0, 1.0, u.nis)
+    np.testing.assert_array_equal(u.gain, gain)
+    bare = Update(state.mean, state.cov, np.zeros(1))
+    with pytest.raises(AttributeError, match="S: neither given nor"):
+        _ = bare.S

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from signals.compiled import FAST_SUM, kernel
+from signals.compiled import FAST_SUM, borrowing, kernel
 
 
 @kernel(fastmath=FAST_SUM)
@@ -22,10 +22,25 @@ def predict_into(
     P1: np.ndarray,
 ) -> None:
     """m1 = Phi m and P1 = Phi P Phi' + Q; Phi is mostly zero, hence the row sums skip zeros."""
+    _predict(mean, cov, phi, q, np.empty(cov.shape), m1, P1)
+
+
+@borrowing(fastmath=FAST_SUM)
+def _predict(
+    mean: np.ndarray,
+    cov: np.ndarray,
+    phi: np.ndarray,
+    q: np.ndarray,
+    X: np.ndarray,
+    m1: np.ndarray,
+    P1: np.ndarray,
+) -> None:
+    """X (n, n) is room for (Phi P)'."""
     n = mean.size
-    X = np.zeros((n, n))
     for i in range(n):
         s = 0.0
+        for j in range(n):
+            X[i, j] = 0.0
         for k in range(n):
             g = phi[i, k]
             if g != 0.0:
@@ -49,7 +64,7 @@ def predict_into(
     _symmetrise(P1)
 
 
-@kernel
+@borrowing
 def _symmetrise(P: np.ndarray) -> None:
     for i in range(P.shape[0]):
         for j in range(i):
@@ -58,7 +73,7 @@ def _symmetrise(P: np.ndarray) -> None:
             P[j, i] = s
 
 
-@kernel(fastmath=FAST_SUM)
+@borrowing(fastmath=FAST_SUM)
 def innovate(
     mean: np.ndarray,
     lin_mean: np.ndarray,
@@ -92,11 +107,27 @@ def condition(
     Since Cov(e) is block-diagonal this is the joint update, without a solve of m x m.  Each block
     is whitened by the root of its own S; NaN where that is not positive definite.
     """
+    k = noise.shape[1]
+    W, S, e = np.empty((k, mean.size)), np.empty((k, k)), np.empty(k)
+    return _sweep(mean, cov, nu, H, noise, W, S, e, m1, P1)
+
+
+@borrowing(fastmath=FAST_SUM)
+def _sweep(
+    mean: np.ndarray,
+    cov: np.ndarray,
+    nu: np.ndarray,
+    H: np.ndarray,
+    noise: np.ndarray,
+    W: np.ndarray,
+    S: np.ndarray,
+    e: np.ndarray,
+    m1: np.ndarray,
+    P1: np.ndarray,
+) -> float:
+    """`condition` with room for L^-1 H P (k, n), S and L (k, k), L^-1 nu (k,) of one block."""
     n = mean.size
     k = noise.shape[1]
-    W = np.empty((k, n))  # root of S^-1, times H P
-    S = np.empty((k, k))
-    e = np.empty(k)
     for a in range(n):
         m1[a] = 0.0
         for c in range(n):
@@ -118,7 +149,7 @@ def condition(
     return nis
 
 
-@kernel(fastmath=FAST_SUM)
+@borrowing(fastmath=FAST_SUM)
 def _project(
     P: np.ndarray,
     x: np.ndarray,
@@ -150,7 +181,7 @@ def _project(
             S[q, r] = s
 
 
-@kernel(fastmath=FAST_SUM)
+@borrowing(fastmath=FAST_SUM)
 def _whiten(S: np.ndarray, W: np.ndarray, e: np.ndarray) -> bool:
     """W <- L^-1 W, e <- L^-1 e with L L' = S; in place of S its L, the diagonal inverted."""
     k, n = W.shape
@@ -177,7 +208,7 @@ def _whiten(S: np.ndarray, W: np.ndarray, e: np.ndarray) -> bool:
     return True
 
 
-@kernel(fastmath=FAST_SUM)
+@borrowing(fastmath=FAST_SUM)
 def _deflate(W: np.ndarray, P: np.ndarray) -> None:
     """P <- P - W' W; three rows at once, a channel's."""
     k, n = W.shape
@@ -211,6 +242,13 @@ def condition_on(
     P1: np.ndarray,
 ) -> float:
     """Condition on a linearisation; ``noise`` comes as Omega and leaves as Omega + R."""
+    _add_noise(R, noise)
+    innovate(mean, lin_mean, zbar, H, z, nu)
+    return condition(mean, cov, nu, H, noise, m1, P1)
+
+
+@borrowing
+def _add_noise(R: np.ndarray, noise: np.ndarray) -> None:
     k = R.shape[1]
     per_block = noise.shape[1] // k  # blocks of R in one of noise: 1, or all of them
     for b in range(R.shape[0]):
@@ -218,8 +256,6 @@ def condition_on(
         for q in range(k):
             for r in range(k):
                 noise[b // per_block, f + q, f + r] += R[b, q, r]
-    innovate(mean, lin_mean, zbar, H, z, nu)
-    return condition(mean, cov, nu, H, noise, m1, P1)
 
 
 @kernel(fastmath=FAST_SUM)
@@ -272,15 +308,18 @@ def gain_matrix(S: np.ndarray, H: np.ndarray, cov: np.ndarray) -> tuple[np.ndarr
     return K, log_det
 
 
-@kernel(fastmath=FAST_SUM)
-def innovation_variance(H: np.ndarray, cov: np.ndarray, noise: np.ndarray, out: np.ndarray) -> None:
-    """Diagonal of S (m,), see `innovation_cov`."""
+@borrowing(fastmath=FAST_SUM)
+def innovation_variance(
+    H: np.ndarray, cov: np.ndarray, noise: np.ndarray, first: int, step: int, out: np.ndarray
+) -> None:
+    """Diagonal of S, of the rows from ``first`` on in steps, see `innovation_cov`."""
     k = noise.shape[1]
-    for q in range(H.shape[0]):
-        out[q] = noise[q // k, q % k, q % k] + quadratic_form(H[q], cov)
+    for i in range(out.size):
+        q = first + i * step
+        out[i] = noise[q // k, q % k, q % k] + quadratic_form(H[q], cov)
 
 
-@kernel(fastmath=FAST_SUM)
+@borrowing(fastmath=FAST_SUM)
 def quadratic_form(h: np.ndarray, P: np.ndarray) -> float:
     """h P h' for a mostly zero h (n,)."""
     total = 0.0

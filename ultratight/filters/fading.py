@@ -29,7 +29,7 @@ from typing import Any
 
 import numpy as np
 
-from signals.compiled import FAST_SUM, kernel
+from signals.compiled import FAST_SUM, borrowing, kernel
 from ultratight.filters.conditioning import quadratic_form
 from ultratight.filters.gaussian import Gaussian, Measurement, Prediction, Update, predict, update
 from ultratight.filters.rules import Rule
@@ -173,7 +173,7 @@ def reading_iii(M: np.ndarray, S: np.ndarray, V0: np.ndarray) -> float:
 # ---------------------------------------------------------------------------------- kernels
 
 
-@kernel
+@borrowing
 def _remember(
     V0: np.ndarray, seen: np.ndarray, rows: np.ndarray, nu: np.ndarray, rho: float, V: np.ndarray
 ) -> None:
@@ -222,7 +222,7 @@ def _watch(
     )
 
 
-@kernel(fastmath=FAST_SUM)
+@borrowing(fastmath=FAST_SUM)
 def _gate_is_open(
     cov: np.ndarray,
     q: np.ndarray,
@@ -251,7 +251,7 @@ def _gate_is_open(
     return excess > sigmas * np.sqrt(2.0 * spread * a / (2.0 - a))
 
 
-@kernel(fastmath=FAST_SUM)
+@borrowing(fastmath=FAST_SUM)
 def _information(cov: np.ndarray, q: np.ndarray, inflated: np.ndarray, h: np.ndarray) -> float:
     """Of one row h (n,) of H: h E (P - Q) E h', what inflation would change of its S."""
     n = h.size

@@ -107,13 +107,12 @@ class Update:
             self._S = innovation_cov(H, prior_cov, noise)
         return self._S
 
-    @property
-    def variance(self) -> np.ndarray:
-        """(m,) diagonal of S, for a fraction of its cost."""
+    def variance(self, first: int = 0, step: int = 1) -> np.ndarray:
+        """Diagonal of S, of the rows from ``first`` on in steps, for a fraction of its cost."""
         if self._S is not None:
-            return np.diag(self._S)
-        out = np.empty(self.innovation.size)
-        innovation_variance(*self._evidence("S"), out)
+            return np.diag(self._S)[first::step]
+        out = np.empty(len(range(first, self.innovation.size, step)))
+        innovation_variance(*self._evidence("S"), first, step, out)
         return out
 
     @property
@@ -184,11 +183,12 @@ class CompiledModel(Protocol):
     Any other h is a plain function, called from Python between two compiled steps.
     """
 
-    def condition(self, *arrays: np.ndarray) -> float:
+    def condition(self, inner: int, *arrays: np.ndarray) -> float:
         """Linearise by projected points (or the Jacobian, where there are none) and condition.
 
-        Arguments: prior mean and covariance, those of the density, z, A, R, `UnitPoints.table`;
-        to be filled: innovation, H, noise, posterior mean and covariance.  Returns the NIS.
+        Arguments: `UnitPoints.inner`, prior mean and covariance, those of the density, z, A, R,
+        `UnitPoints.table`; to be filled: innovation, H, noise, posterior mean and covariance.
+        Returns the NIS.
         """
         ...
 
@@ -273,8 +273,8 @@ def _posterior(
     if compiled is not None and rule.block_diagonal:
         H, noise = np.empty((m, n)), np.empty(R.shape)
         nis = compiled(
-            prior.mean, prior.cov, density.mean, density.cov, z, A, R, rule.table(A.shape[1]),
-            nu, H, noise, mean, cov,
+            rule.inner(A.shape[1]), prior.mean, prior.cov, density.mean, density.cov, z, A, R,
+            rule.table(A.shape[1]), nu, H, noise, mean, cov,
         )  # fmt: skip
     else:
         zbar, H, Omega = rule.linearise(density, measurement)

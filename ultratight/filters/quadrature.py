@@ -16,6 +16,7 @@ class UnitPoints(NamedTuple):
     xi: np.ndarray  # (d, p) points
     w: np.ndarray  # (p,) weights, sum 1, possibly negative
     table: np.ndarray  # (d + 1, p) w and xi in one block, for kernels, which take no read-only one
+    inner: int  # length of the last axis where the rule is a product with it, else 1
 
 
 PointFunction = Callable[[int], tuple[np.ndarray, np.ndarray]]
@@ -84,4 +85,16 @@ def unit_points(function: PointFunction, d: int) -> UnitPoints:
     table = np.vstack([w, xi])
     xi.setflags(write=False)
     w.setflags(write=False)
-    return UnitPoints(xi, w, table)
+    return UnitPoints(xi, w, table, _inner(xi, w))
+
+
+def _inner(xi: np.ndarray, w: np.ndarray) -> int:
+    """Largest m such that the points are those of d - 1 dimensions, each with the same m last."""
+    same = np.all(xi[:-1] == xi[:-1, :1], axis=0)
+    m = w.size if same.all() else int(np.argmin(same))
+    if w.size % m or np.any(w == 0.0):
+        return 1
+    x, v = xi.reshape(len(xi), -1, m), w.reshape(-1, m)
+    product = np.all(x[:-1] == x[:-1, :, :1]) and np.all(x[-1] == x[-1, :1])
+    shares = v / v.sum(axis=1, keepdims=True)
+    return m if product and np.allclose(shares, shares[0], rtol=1e-12, atol=0.0) else 1

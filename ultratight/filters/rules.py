@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
-from signals.compiled import FAST_SUM, kernel
+from signals.compiled import FAST_SUM, borrowing, kernel
 from ultratight.filters.quadrature import (
     PointFunction,
     cubature,
@@ -80,6 +80,10 @@ class Rule:
         """`UnitPoints.table` in d dimensions; without columns where the rule has no points."""
         return np.empty((d + 1, 0)) if self.points is None else unit_points(self.points, d).table
 
+    def inner(self, d: int) -> int:
+        """`UnitPoints.inner` in d dimensions."""
+        return 1 if self.points is None else unit_points(self.points, d).inner
+
     @property
     def block_diagonal(self) -> bool:
         """True where Omega has no cross-block terms, as a sequential update needs."""
@@ -120,20 +124,23 @@ def get_rule(name: str) -> Rule:
 # ---------------------------------------------------------------------------------- kernels
 
 
-@kernel
+@borrowing
 def psd_cholesky(S: np.ndarray, L: np.ndarray) -> None:
     """Lower L (n, n) with L L' = S for positive semidefinite S: columns without variance are 0.
+
+    L may be S: only the lower triangle is read, each entry before it is written.
 
     A pivot below 1e-14 of its diagonal is a linear dependence.  NaN stays NaN.
     """
     n = S.shape[0]
     for j in range(n):
+        floor = 1e-14 * S[j, j]
         pivot = S[j, j]
         for k in range(j):
             pivot -= L[j, k] * L[j, k]
         for i in range(j):
             L[i, j] = 0.0
-        if pivot <= 1e-14 * S[j, j] or pivot <= 0.0:
+        if pivot <= floor or pivot <= 0.0:
             for i in range(j, n):
                 L[i, j] = 0.0
             continue
@@ -146,8 +153,8 @@ def psd_cholesky(S: np.ndarray, L: np.ndarray) -> None:
             L[i, j] = s / root
 
 
-@kernel
-def _solve_slope(L: np.ndarray, G: np.ndarray) -> None:
+@borrowing
+def solve_slope(L: np.ndarray, G: np.ndarray) -> None:
     """Overwrite G (k, d) by G L^-1; no slope along directions without variance."""
     d = L.shape[0]
     for j in range(d - 1, -1, -1):
@@ -161,7 +168,7 @@ def _solve_slope(L: np.ndarray, G: np.ndarray) -> None:
             G[q, j] = s / L[j, j]
 
 
-@kernel(fastmath=FAST_SUM)
+@borrowing(fastmath=FAST_SUM)
 def project_mean(A: np.ndarray, mean: np.ndarray, y: np.ndarray) -> None:
     """y (d,) = A x of one block."""
     for j in range(A.shape[0]):
@@ -171,12 +178,10 @@ def project_mean(A: np.ndarray, mean: np.ndarray, y: np.ndarray) -> None:
         y[j] = s
 
 
-@kernel(fastmath=FAST_SUM)
-def project_root(A: np.ndarray, cov: np.ndarray, L: np.ndarray) -> None:
-    """Root L (d, d) of A P A' of one block."""
+@borrowing(fastmath=FAST_SUM)
+def project_root(A: np.ndarray, cov: np.ndarray, AP: np.ndarray, L: np.ndarray) -> None:
+    """Root L (d, d) of A P A' of one block; AP (n,) is room for a row of A P."""
     d, n = A.shape
-    S = np.empty((d, d))
-    AP = np.empty(n)
     for j in range(d):
         for a in range(n):
             AP[a] = 0.0
@@ -189,12 +194,11 @@ def project_root(A: np.ndarray, cov: np.ndarray, L: np.ndarray) -> None:
             s = 0.0
             for a in range(n):
                 s += AP[a] * A[i, a]
-            S[j, i] = s
-            S[i, j] = s
-    psd_cholesky(S, L)
+            L[j, i] = s
+    psd_cholesky(L, L)
 
 
-@kernel(fastmath=FAST_SUM)
+@borrowing(fastmath=FAST_SUM)
 def scatter(y: np.ndarray, L: np.ndarray, table: np.ndarray, Y: np.ndarray) -> None:
     """Points Y (d, p) = y + L xi."""
     d, p = Y.shape
@@ -208,22 +212,36 @@ def scatter(y: np.ndarray, L: np.ndarray, table: np.ndarray, Y: np.ndarray) -> N
                     Y[j, i] += g * table[1 + c, i]
 
 
-@kernel(fastmath=FAST_SUM)
+@borrowing(fastmath=FAST_SUM)
 def regress(
     L: np.ndarray,
     table: np.ndarray,
     Z: np.ndarray,
+    w_dz: np.ndarray,
     zbar: np.ndarray,
     G: np.ndarray,
     Omega: np.ndarray,
 ) -> None:
     """SLR of values Z (k, p) at points of root L (d, d): zbar (k,), slope G (k, d), Omega (k, k).
 
-    Z is left with its deviations from zbar.
+    Z is left with its deviations from zbar; w_dz (p,) is room for them, weighted.
     """
+    moments(table, Z, w_dz, zbar, G, Omega)
+    solve_slope(L, G)
+
+
+@borrowing(fastmath=FAST_SUM)
+def moments(
+    table: np.ndarray,
+    Z: np.ndarray,
+    w_dz: np.ndarray,
+    zbar: np.ndarray,
+    C: np.ndarray,
+    rest: np.ndarray,
+) -> None:
+    """Mean zbar (k,), C (k, d) = E[dz xi'] and rest (k, k) = E[dz dz'] - C C'; see `regress`."""
     k, p = Z.shape
-    d = L.shape[0]
-    w_dz = np.empty(p)
+    d = table.shape[0] - 1
     for q in range(k):
         s = 0.0
         for i in range(p):
@@ -236,19 +254,18 @@ def regress(
             s = 0.0
             for i in range(p):
                 s += w_dz[i] * table[1 + j, i]
-            G[q, j] = s
+            C[q, j] = s
         for r in range(q + 1):
             s = 0.0
             for i in range(p):
                 s += w_dz[i] * Z[r, i]
             for j in range(d):
-                s -= G[q, j] * G[r, j]
-            Omega[q, r] = s
-            Omega[r, q] = s
-    _solve_slope(L, G)
+                s -= C[q, j] * C[r, j]
+            rest[q, r] = s
+            rest[r, q] = s
 
 
-@kernel(fastmath=FAST_SUM)
+@borrowing(fastmath=FAST_SUM)
 def chain(G: np.ndarray, A: np.ndarray, H: np.ndarray) -> None:
     """H (nb k, n) = G A, block by block."""
     nb, k, d = G.shape
@@ -281,10 +298,10 @@ def _place_projected(
     nb, d, _ = A.shape
     p = table.shape[1]
     y, L = np.empty(d), np.empty((nb, d, d))
-    Y, points = np.empty((nb, p, d)), np.empty((d, p))
+    Y, points, AP = np.empty((nb, p, d)), np.empty((d, p)), np.empty(mean.size)
     for b in range(nb):
         project_mean(A[b], mean, y)
-        project_root(A[b], cov, L[b])
+        project_root(A[b], cov, AP, L[b])
         scatter(y, L[b], table, points)
         Y[b] = points.T
     return Y, L
@@ -321,10 +338,10 @@ def _regress_projected(
     nb, p, k = Z.shape
     d, n = A.shape[1:]
     zbar, G, Omega = np.empty((nb, k)), np.empty((nb, k, d)), np.empty((nb, k, k))
-    H, values = np.empty((nb * k, n)), np.empty((k, p))
+    H, values, w_dz = np.empty((nb * k, n)), np.empty((k, p)), np.empty(p)
     for b in range(nb):
         values[:] = Z[b].T
-        regress(L[b], table, values, zbar[b], G[b], Omega[b])
+        regress(L[b], table, values, w_dz, zbar[b], G[b], Omega[b])
     chain(G, A, H)
     return zbar.reshape(-1), H, Omega
 
@@ -340,5 +357,5 @@ def _regress_full(
     values = np.empty((m, p))
     for b in range(nb):
         values[b * k : b * k + k] = Z[b].T
-    regress(L, table, values, zbar, H, Omega[0])
+    regress(L, table, values, np.empty(p), zbar, H, Omega[0])
     return zbar, H, Omega

@@ -69,7 +69,7 @@ class LockMonitor:
         k = measurement.z.shape[1]
         nu = update.innovation[1::k]
         if nu.size:
-            square = nu * nu / update.variance[1::k]
+            square = nu * nu / update.variance(1, k)
             self.quadrature.append(float(square.sum()) / nu.size)
             del self.quadrature[: -self.window]
 

@@ -9,15 +9,25 @@ from __future__ import annotations
 
 import numpy as np
 
-from signals.compiled import FAST_SUM, kernel
+from signals.compiled import FAST_SUM, borrowing, kernel
 from signals.constants import C_MPS, CA_CHIP_RATE_HZ
 from ultratight.filters.conditioning import condition_on
-from ultratight.filters.rules import chain, project_mean, project_root, regress, scatter
+from ultratight.filters.rules import (
+    chain,
+    moments,
+    project_mean,
+    project_root,
+    regress,
+    scatter,
+    solve_slope,
+)
 from ultratight.tracking.steering import WAVELENGTH_M
 
 CHIP_M = C_MPS / CA_CHIP_RATE_HZ
 TINY = 1e-100
 """sin x / x is exactly 1 here"""
+ROOM = 22
+"""Rows of room that the moments of h need"""
 
 
 class TapModel:
@@ -41,9 +51,9 @@ class TapModel:
         _jacobians(y, self.params, J)
         return self(y[:, None, :])[:, 0], J
 
-    def condition(self, *arrays: np.ndarray) -> float:
+    def condition(self, inner: int, *arrays: np.ndarray) -> float:
         """The update in one call, see `ultratight.filters.gaussian.CompiledModel`."""
-        return _condition(self.params, *arrays)
+        return _condition(self.params, inner, *arrays)
 
 
 # ---------------------------------------------------------------------------------- kernels
@@ -52,6 +62,7 @@ class TapModel:
 @kernel
 def _condition(
     params: np.ndarray,
+    inner: int,
     mean: np.ndarray,
     cov: np.ndarray,
     lin_mean: np.ndarray,
@@ -66,35 +77,66 @@ def _condition(
     m1: np.ndarray,
     P1: np.ndarray,
 ) -> float:
-    nb, d, _ = A.shape
-    p = table.shape[1]
-    y, L = np.empty(d), np.empty((d, d))
+    nb, d, n = A.shape
     zbar, G = np.empty((nb, 3)), np.empty((nb, 3, d))
-    Y, Z = np.empty((d, max(p, 1))), np.empty((3, max(p, 1)))
-    for b in range(nb):
-        project_mean(A[b], lin_mean, y)
-        if p == 0:
-            Y[:, 0] = y
-            _taps(Y, params[b], Z)
-            zbar[b] = Z[:, 0]
-            _jacobian(y, params[b], G[b])
-            noise[b] = 0.0
-        else:
-            project_root(A[b], lin_cov, L)
-            scatter(y, L, table, Y)
-            _taps(Y, params[b], Z)
-            regress(L, table, Z, zbar[b], G[b], noise[b])
+    work = np.empty(ROOM * max(table.shape[1], 1))
+    small = np.empty((d + 2, max(n, d)))
+    _linearise(params, inner, lin_mean, lin_cov, A, table, small, work, zbar, G, noise)
     chain(G, A, H)
     return condition_on(mean, cov, lin_mean, zbar.reshape(-1), H, z, R, nu, noise, m1, P1)
+
+
+@borrowing
+def _linearise(
+    params: np.ndarray,
+    inner: int,
+    mean: np.ndarray,
+    cov: np.ndarray,
+    A: np.ndarray,
+    table: np.ndarray,
+    small: np.ndarray,
+    work: np.ndarray,
+    zbar: np.ndarray,
+    G: np.ndarray,
+    Omega: np.ndarray,
+) -> None:
+    """SLR, or Jacobian, of every channel: zbar (nb, 3), G (nb, 3, d), Omega (nb, 3, 3).
+
+    small (d + 2, n) and work (ROOM p,): room.
+    """
+    nb, d, n = A.shape
+    p = table.shape[1]
+    y, AP, L = small[0, :d], small[1, :n], small[2 : 2 + d, :d]
+    rows = work.reshape((ROOM, -1))
+    Y, Z, rest = rows[:d], rows[d : d + 3], rows[d + 3 :]
+    for b in range(nb):
+        project_mean(A[b], mean, y)
+        if p == 0:
+            for j in range(d):
+                Y[j, 0] = y[j]
+            _taps(Y, params[b], rest, Z)
+            for q in range(3):
+                zbar[b, q] = Z[q, 0]
+            _jacobian(y, params[b], G[b])
+            Omega[b] = 0.0
+        else:
+            project_root(A[b], cov, AP, L)
+            if d == 3 and inner > 1:
+                _regress_coherent(y, L, table, inner, params[b], work, zbar[b], G[b], Omega[b])
+                continue
+            scatter(y, L, table, Y)
+            _taps(Y, params[b], rest, Z)
+            regress(L, table, Z, rest[0], zbar[b], G[b], Omega[b])
 
 
 @kernel
 def _evaluate(y: np.ndarray, params: np.ndarray, z: np.ndarray) -> None:
     """z (nb, p, 3) at y (nb, p, d)."""
-    points, values = np.empty((y.shape[2], y.shape[1])), np.empty((3, y.shape[1]))
+    p = y.shape[1]
+    points, values, work = np.empty((y.shape[2], p)), np.empty((3, p)), np.empty((6, p))
     for b in range(y.shape[0]):
         points[:] = y[b].T
-        _taps(points, params[b], values)
+        _taps(points, params[b], work, values)
         z[b] = values.T
 
 
@@ -104,16 +146,16 @@ def _jacobians(y: np.ndarray, params: np.ndarray, J: np.ndarray) -> None:
         _jacobian(y[b], params[b], J[b])
 
 
-@kernel
-def _taps(y: np.ndarray, params: np.ndarray, z: np.ndarray) -> None:
-    """h of one channel: z (3, p) at y (d, p)."""
+@borrowing
+def _taps(y: np.ndarray, params: np.ndarray, work: np.ndarray, z: np.ndarray) -> None:
+    """h of one channel: z (3, p) at y (d, p); work (6, p)."""
     if y.shape[0] == 2:
-        _differential(y, params, z)
+        _differential(y, params, work, z)
     else:
-        _coherent(y, params, z)
+        _coherent(y, params, work, z)
 
 
-@kernel
+@borrowing
 def _jacobian(y: np.ndarray, params: np.ndarray, J: np.ndarray) -> None:
     """dz/dy (3, d) of one channel at y (d,)."""
     if y.size == 2:
@@ -122,7 +164,7 @@ def _jacobian(y: np.ndarray, params: np.ndarray, J: np.ndarray) -> None:
         _jacobian_coherent(y, params, J)
 
 
-@kernel(fastmath={"contract"})
+@borrowing(fastmath={"contract"})
 def sin_cos(x: np.ndarray, s: np.ndarray, c: np.ndarray) -> None:
     """Sine and cosine of x (p,), without branches or tables so that the loop is vectorised.
 
@@ -157,17 +199,17 @@ def sin_cos(x: np.ndarray, s: np.ndarray, c: np.ndarray) -> None:
         c[i] = sign * (1.0 - 0.5 * q + q * q * u)
 
 
-@kernel
+@borrowing
 def correlation(d: float, lag1: float) -> float:
     """R(d): linear between the code's own values at lags 0 and 1, flat beyond."""
     return 1.0 - min(abs(d), 1.0) * (1.0 - lag1)
 
 
-@kernel(fastmath=FAST_SUM)
-def _differential(y: np.ndarray, params: np.ndarray, z: np.ndarray) -> None:
+@borrowing(fastmath=FAST_SUM)
+def _differential(y: np.ndarray, params: np.ndarray, work: np.ndarray, z: np.ndarray) -> None:
     lag1, offset, half, spacing = params[0], params[1], params[2], params[3]
     p = y.shape[1]
-    x, s, c = np.empty(p), np.empty(p), np.empty(p)
+    x, s, c = work[0], work[1], work[2]
     for i in range(p):
         turn = np.pi / WAVELENGTH_M * half * y[1, i]
         x[i] = turn if abs(turn) > TINY else TINY
@@ -181,12 +223,11 @@ def _differential(y: np.ndarray, params: np.ndarray, z: np.ndarray) -> None:
         z[2, i] = loss * (correlation(d - spacing, lag1) - correlation(d + spacing, lag1))
 
 
-@kernel(fastmath=FAST_SUM)
-def _coherent(y: np.ndarray, params: np.ndarray, z: np.ndarray) -> None:
+@borrowing(fastmath=FAST_SUM)
+def _coherent(y: np.ndarray, params: np.ndarray, work: np.ndarray, z: np.ndarray) -> None:
     lag1, offset, half, spacing = params[0], params[1], params[2], params[3]
     p = y.shape[1]
-    x, s, c = np.empty(p), np.empty(p), np.empty(p)
-    phase, cos_x, sinc = np.empty(p), np.empty(p), np.empty(p)
+    x, s, c, phase, cos_x, sinc = work[0], work[1], work[2], work[3], work[4], work[5]
     for i in range(p):
         turn = np.pi / WAVELENGTH_M * half * y[2, i]
         x[i] = turn if abs(turn) > TINY else TINY
@@ -205,18 +246,112 @@ def _coherent(y: np.ndarray, params: np.ndarray, z: np.ndarray) -> None:
         z[2, i] = sinc[i] * sinc[i] * r * split
 
 
-@kernel
+@borrowing(fastmath=FAST_SUM)
+def _regress_coherent(
+    y: np.ndarray,
+    L: np.ndarray,
+    table: np.ndarray,
+    inner: int,
+    params: np.ndarray,
+    work: np.ndarray,
+    zbar: np.ndarray,
+    G: np.ndarray,
+    Omega: np.ndarray,
+) -> None:
+    """SLR of model C by a rule whose last axis is a factor: the same sums in another order.
+
+    L is lower triangular, hence range and phase depend on the outer points alone and only the two
+    losses s = sinc(2 x) and c = sinc(x)^2 on the inner ones.  Their mean, slope and covariance
+    given the outer point are found first; then Cov(z) = Cov(E[z | outer]) + E[Cov(z | outer)].
+    """
+    n = table.shape[1] // inner
+    rows = work[: ROOM * n].reshape((ROOM, n))
+    outer, Z = rows[0:3], rows[3:6]
+    x, sine, cosine, rate, s, c = rows[6], rows[7], rows[8], rows[9], rows[10], rows[11]
+    ds, dc, es, ec = rows[12], rows[13], rows[14], rows[15]
+    vss, vsc, vcc = rows[16], rows[17], rows[18]
+    a, b, t = rows[19], rows[20], rows[21]
+    total = 0.0
+    for k in range(inner):
+        total += table[0, k]
+    share = total / table[0, 0]
+    turn = np.pi / WAVELENGTH_M * params[2]
+    for i in range(n):
+        for j in range(3):
+            outer[j, i] = table[j, i * inner]
+        outer[0, i] *= share
+    for i in range(n):
+        x[i] = 2.0 * np.pi / WAVELENGTH_M * (y[1] + L[1, 0] * outer[1, i] + L[1, 1] * outer[2, i])
+        rate[i] = turn * (y[2] + L[2, 0] * outer[1, i] + L[2, 1] * outer[2, i])
+    sin_cos(x, sine, cosine)
+    lag1, spacing = params[0], params[3]
+    for i in range(n):
+        d = (y[0] + L[0, 0] * outer[1, i] + params[1]) * (1.0 / CHIP_M)
+        r = correlation(d, lag1)
+        a[i] = r * cosine[i]
+        b[i] = r * sine[i]
+        t[i] = r * (correlation(d - spacing, lag1) - correlation(d + spacing, lag1))
+    rows[12:19] = 0.0
+    for k in range(inner):
+        at = (k + inner // 2) % inner  # from the middle one on, whose values are taken off
+        v, step = table[0, at] / total, table[3, at]
+        for i in range(n):
+            angle = rate[i] + turn * L[2, 2] * step
+            x[i] = angle if abs(angle) > TINY else TINY
+        sin_cos(x, sine, cosine)
+        if k == 0:
+            for i in range(n):
+                sinc = sine[i] / x[i]
+                s[i] = sinc * cosine[i]
+                c[i] = sinc * sinc
+        for i in range(n):
+            sinc = sine[i] / x[i]
+            off_s, off_c = sinc * cosine[i] - s[i], sinc * sinc - c[i]
+            ds[i] += v * off_s
+            dc[i] += v * off_c
+            es[i] += v * step * off_s
+            ec[i] += v * step * off_c
+            vss[i] += v * off_s * off_s
+            vsc[i] += v * off_s * off_c
+            vcc[i] += v * off_c * off_c
+    for i in range(n):
+        Z[0, i] = a[i] * (s[i] + ds[i])
+        Z[1, i] = b[i] * (s[i] + ds[i])
+        Z[2, i] = t[i] * (c[i] + dc[i])
+    moments(outer, Z, x, zbar, G, Omega)
+    for q in range(3):
+        G[q, 2] = 0.0
+    for i in range(n):
+        w = outer[0, i]
+        G[0, 2] += w * a[i] * es[i]
+        G[1, 2] += w * b[i] * es[i]
+        G[2, 2] += w * t[i] * ec[i]
+        ss, sc = w * (vss[i] - ds[i] * ds[i]), w * (vsc[i] - ds[i] * dc[i])
+        Omega[0, 0] += a[i] * a[i] * ss
+        Omega[1, 0] += a[i] * b[i] * ss
+        Omega[1, 1] += b[i] * b[i] * ss
+        Omega[2, 0] += a[i] * t[i] * sc
+        Omega[2, 1] += b[i] * t[i] * sc
+        Omega[2, 2] += t[i] * t[i] * w * (vcc[i] - dc[i] * dc[i])
+    for q in range(3):
+        for r in range(q + 1):
+            Omega[q, r] -= G[q, 2] * G[r, 2]
+            Omega[r, q] = Omega[q, r]
+    solve_slope(L, G)
+
+
+@borrowing
 def _slope(d: float, lag1: float) -> float:
     """dR/dd, zero at the kinks."""
     return 0.0 if abs(d) >= 1.0 else -np.sign(d) * (1.0 - lag1)
 
 
-@kernel
+@borrowing
 def _sinc(x: float) -> float:
     return 1.0 - x * x / 6.0 if abs(x) < 1e-4 else np.sin(x) / x
 
 
-@kernel
+@borrowing
 def _sinc_slope(x: float) -> float:
     return -x / 3.0 if abs(x) < 1e-4 else (np.cos(x) - np.sin(x) / x) / x
 
@@ -225,7 +360,7 @@ def _sinc_slope(x: float) -> float:
 # would tell an extended Kalman filter a range error from the amplitude alone.
 
 
-@kernel
+@borrowing
 def _jacobian_differential(y: np.ndarray, params: np.ndarray, J: np.ndarray) -> None:
     lag1, offset, half, spacing = params[0], params[1], params[2], params[3]
     d = (y[0] + offset) / CHIP_M
@@ -244,7 +379,7 @@ def _jacobian_differential(y: np.ndarray, params: np.ndarray, J: np.ndarray) -> 
     J[2, 1] = 2.0 * s * ds * to_x * r * split
 
 
-@kernel
+@borrowing
 def _jacobian_coherent(y: np.ndarray, params: np.ndarray, J: np.ndarray) -> None:
     lag1, offset, half, spacing = params[0], params[1], params[2], params[3]
     d = (y[0] + offset) / CHIP_M
