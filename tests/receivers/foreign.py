@@ -148,7 +148,7 @@ def run_gnss_sdr(truth: Truth, folder: Path, changes: dict[str, str] | None = No
     (folder / "gnss_sdr.conf").write_text(text)
     with (folder / "log.txt").open("w") as log:
         subprocess.run(
-            ["gnss-sdr", "--config_file=gnss_sdr.conf"],
+            ["gnss-sdr", "--config_file=gnss_sdr.conf", "--log_dir=."],
             cwd=folder,
             stdout=log,
             stderr=subprocess.STDOUT,
