@@ -330,6 +330,26 @@ def predict_channels(
         )
 
 
+@borrowing
+def predict_epochs(
+    arcs: np.ndarray,
+    tow_s: np.ndarray,
+    r: np.ndarray,
+    v: np.ndarray,
+    clock_m: np.ndarray,
+    clock_rate_mps: np.ndarray,
+    out_rho: np.ndarray,
+    out_rate: np.ndarray,
+    out_u: np.ndarray,
+) -> None:
+    """`predict_channels` at each time tow_s (n,), into arrays with n in front."""
+    for k in range(tow_s.size):
+        predict_channels(
+            arcs, tow_s[k], r[k], v[k], clock_m[k], clock_rate_mps[k], out_rho[k], out_rate[k],
+            out_u[k],
+        )  # fmt: skip
+
+
 @kernel
 def _pieces(
     arcs: np.ndarray,

@@ -13,9 +13,10 @@ import numpy as np
 from signals.arcs import arcs
 from signals.constants import C_MPS, GPS_L1_HZ
 from signals.nco import Nco, Taps
-from signals.propagation import elevation_azimuth, predict_channels
+from signals.propagation import elevation_azimuth, predict_epochs
 from ultratight.consistency import ROW_S
 from ultratight.results import EPOCH, Variable
+from ultratight.tracking.rows import Rows
 
 if TYPE_CHECKING:
     from ultratight.world import World
@@ -44,9 +45,7 @@ class History:
         n = n_epoch // self.every
         self.t_s = (np.arange(n) + 1) * self.every * closure.epoch_s
         self.fields = closure.fields()
-        self.rows = {
-            name: np.full((n, *shape), np.nan) for name, (shape, _, _, _) in self.fields.items()
-        }
+        self.rows = Rows(n, self.fields)
         self.keeps_dumps = "prompt_i" not in self.fields
         self.taps: list[Taps] = []
         self.nco_freq: np.ndarray | None = None
@@ -108,11 +107,7 @@ def truth_variables(world: World, t_s: np.ndarray) -> dict[str, Variable]:
     rho, rate, u = np.empty((t_s.size, n)), np.empty((t_s.size, n)), np.empty((t_s.size, n, 3))
     tow = world.scenario.start_tow_s
     sky = arcs(world.elements, tow, tow + (t_s[-1] if t_s.size else 0.0))
-    for k in range(t_s.size):
-        predict_channels(
-            sky, world.scenario.start_tow_s + t_s[k], r[k], v[k],
-            clock_m[k], clock_rate[k], rho[k], rate[k], u[k],
-        )  # fmt: skip
+    predict_epochs(sky, tow + t_s, r, v, clock_m, clock_rate, rho, rate, u)
     accel_bias, gyro_bias = (
         np.stack([np.interp(t_s, imu.t_s, b) for b in sensors[name].T], axis=1)
         for name in ("accel_bias", "gyro_bias")

@@ -19,6 +19,7 @@ from ultratight.provenance import provenance
 from ultratight.results import Event, Run
 from ultratight.scenario import InvalidInput, Scenario, Unsupported
 from ultratight.tracking.knows import Knows
+from ultratight.tracking.rows import Fields, Rows
 from ultratight.tracking.scalar import Scalar, ScalarSettings
 from ultratight.tracking.ultra_tight import Settings, UltraTight
 from ultratight.world import World
@@ -53,11 +54,11 @@ class Closure(Protocol):
         """Decide what the taps mean."""
         ...
 
-    def fields(self) -> dict[str, tuple[tuple[int, ...], tuple[str, ...], str, str]]:
+    def fields(self) -> Fields:
         """What it keeps of each epoch: name -> (shape, dimensions, units, long name)."""
         ...
 
-    def write(self, rows: dict[str, np.ndarray], k: int) -> None:
+    def write(self, rows: Rows, k: int) -> None:
         """Write row k of each field."""
         ...
 
@@ -118,18 +119,15 @@ def fly(
     progress: Callable[[float], None] | None = None,
 ) -> History:
     """The main loop. It sees no world: a receiver, its correlator and its IMU are all there is."""
-    n_epoch = round(duration_s / closure.epoch_s)
+    epoch_s = closure.epoch_s
+    n_epoch = round(duration_s / epoch_s)
     history = History(closure, n_epoch)
-    report = max(1, round(PROGRESS_S / closure.epoch_s))
-    dt = imu.t_s[1] - imu.t_s[0]
-    ends = (imu.t_s[1:] / dt).round().astype(np.int64)  # in IMU intervals
-    # the interval that ended at the start has been told to the receiver
-    done = int(np.searchsorted(ends, 0, side="right"))
+    report = max(1, round(PROGRESS_S / epoch_s))
+    bounds = _increments_until(imu, epoch_s, n_epoch)
     for k in range(n_epoch):
-        t_end = (k + 1) * closure.epoch_s
-        upto = int(np.searchsorted(ends, t_end / dt + 1e-6, side="right"))
+        done, upto = bounds[k], bounds[k + 1]
         nco = closure.steer(
-            t_end,
+            (k + 1) * epoch_s,
             Increments(imu.t_s[done : upto + 1], imu.alpha_ib_b[done:upto], imu.nu_ib_b[done:upto]),
         )
         taps = correlator(nco)
@@ -137,12 +135,18 @@ def fly(
         if closure.diverged:
             break
         history.record(k, closure, nco, taps)
-        done = upto
         if progress is not None and k % report == 0:
             progress((k + 1) / n_epoch)
     if progress is not None:
         progress(1.0)
     return history
+
+
+def _increments_until(imu: Increments, epoch_s: float, n_epoch: int) -> list[int]:
+    """How many increments have ended at the start and at the end of each epoch (n_epoch + 1)."""
+    dt = imu.t_s[1] - imu.t_s[0]
+    ends = np.rint(imu.t_s[1:] / dt)  # in IMU intervals
+    return np.searchsorted(ends, np.arange(n_epoch + 1) * epoch_s / dt + 1e-6, "right").tolist()
 
 
 def new_closure(scenario: Scenario, knows: Knows, filter: Filter | None = None) -> Closure:

@@ -43,6 +43,7 @@ from ultratight.tracking.discriminators import delay_slope
 from ultratight.tracking.knows import Knows
 from ultratight.tracking.loop_filters import frequency_loop, phase_loop
 from ultratight.tracking.positioning import least_squares
+from ultratight.tracking.rows import Fields, Rows
 from ultratight.tracking.steering import WAVELENGTH_M, antenna, start
 
 EPOCH_S = 0.001
@@ -212,7 +213,7 @@ class Scalar:
             "prompt": loops.prompt.copy(),
         }
 
-    def fields(self) -> dict[str, tuple[tuple[int, ...], tuple[str, ...], str, str]]:
+    def fields(self) -> Fields:
         """What is kept of each row of the history."""
         channel = ((self.n_channel,), ("channel",))
         return {
@@ -228,7 +229,7 @@ class Scalar:
             "prompt_q": (*channel, "standard deviations of the noise", "quadrature prompt"),
         }
 
-    def write(self, rows: dict[str, np.ndarray], k: int) -> None:
+    def write(self, rows: Rows, k: int) -> None:
         """Write row k of each field; the lever arm is taken off with the INS's attitude."""
         r, v, clock_m, clock_rate = self.pvt()
         if self.aided:

@@ -61,6 +61,8 @@ class Steering(NamedTuple):
     known_range: np.ndarray  # (n_memory, n_channel, 4) reference - NCO of the code, cubic [m]
 
 
+N_NAVIGATION = 23
+"""Numbers of a buffer that say where the receiver is: r, v, C, biases, clock, in this order"""
 _FIXED = 42
 _PER_CHANNEL = 8
 

@@ -17,7 +17,9 @@ from ultratight.tracking.half_bits import Bits, HalfBits
 from ultratight.tracking.knows import Knows
 from ultratight.tracking.lock import LockMonitor
 from ultratight.tracking.measurements import Amplitudes, measure
+from ultratight.tracking.rows import Fields, Rows
 from ultratight.tracking.steering import (
+    N_NAVIGATION,
     WAVELENGTH_M,
     feed_back,
     lever,
@@ -227,7 +229,7 @@ class UltraTight:
         """Running estimate of C/N0 per channel, from the amplitude [dB-Hz]."""
         return 10.0 * np.log10(self.amplitudes.amplitude2 / (2.0 * HALF_BIT_S))
 
-    def fields(self) -> dict[str, tuple[tuple[int, ...], tuple[str, ...], str, str]]:
+    def fields(self) -> Fields:
         """What is kept of each epoch; the channels' phases are left out of ``covariance``."""
         n = self.n_channel
         channel = ((n,), ("channel",))
@@ -248,23 +250,14 @@ class UltraTight:
             "cn0": (*channel, "dB-Hz", "estimated C/N0"),
         }
 
-    def write(self, rows: dict[str, np.ndarray], k: int) -> None:
+    def write(self, rows: Rows, k: int) -> None:
         """Write row k of each field."""
-        s, u = self.steering, self.update
-        rows["r_eb_e"][k] = s.r_eb_e
-        rows["v_eb_e"][k] = s.v_eb_e
-        rows["C_b_e"][k] = s.C_b_e
-        rows["accel_bias"][k] = s.accel_bias
-        rows["gyro_bias"][k] = s.gyro_bias
-        rows["clock_m"][k], rows["clock_rate"][k] = s.clock
-        rows["covariance"][k] = self.cov[:N_STATE, :N_STATE]
-        if u is not None:
-            rows["nis"][k] = u.nis
-            rows["n_measurement"][k] = u.innovation.size
-            rows["fading_factor"][k] = u.lam
-        rows["coherent"][k] = self.coherent
-        rows["lock_indicator"][k] = self.lock.indicator
-        rows["cn0"][k] = self.cn0_dbhz
+        u = self.update
+        nis, size, lam = (u.nis, u.innovation.size, u.lam) if u is not None else (np.nan,) * 3
+        _write(
+            rows.block[k], self.steering.buffer, self.cov, self.lock.indicator,
+            self.amplitudes.amplitude2, float(nis), float(size), float(lam), float(self.coherent),
+        )  # fmt: skip
 
 
 # ---- kernels ---------------------------------------------------------------------------------
@@ -312,3 +305,31 @@ def _is_finite(mean: np.ndarray, cov: np.ndarray) -> bool:
         for j in range(mean.size):
             total += 0.0 * cov[i, j]
     return total == 0.0
+
+
+@borrowing
+def _write(
+    row: np.ndarray,
+    buffer: np.ndarray,
+    cov: np.ndarray,
+    indicator: np.ndarray,
+    amplitude2: np.ndarray,
+    nis: float,
+    n_measurement: float,
+    lam: float,
+    coherent: float,
+) -> None:
+    """The fields of an epoch, in their order."""
+    at = N_NAVIGATION
+    for k in range(at):
+        row[k] = buffer[k]
+    for i in range(N_STATE):
+        for j in range(N_STATE):
+            row[at + j] = cov[i, j]
+        at += N_STATE
+    row[at], row[at + 1], row[at + 2], row[at + 3] = nis, n_measurement, lam, coherent
+    at += 4
+    n = indicator.size
+    for i in range(n):
+        row[at + i] = indicator[i]
+        row[at + n + i] = 10.0 * math.log10(amplitude2[i] / (2.0 * HALF_BIT_S))
