@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from signals.compiled import kernel
+from signals.compiled import borrowing, kernel
 from signals.front_end import GUARD_SAMPLES
 from signals.lanes_correlator import PHASE_BITS, SPAN
 from signals.nco import Nco, Taps
@@ -66,7 +66,7 @@ _KNOWN, _OPEN, _NUMBER, _SINCE, _DUMP, _SLOT = 0, 1, 2, 3, 4, 5
 _ROW_NUMBER, _ROW_SLOT, _ROW_FIRST, _ROW_END = 0, 1, 2, 3
 
 
-@kernel
+@borrowing
 def room(nco: Nco, fs: float, edge: np.ndarray) -> int:
     """First samples of the pieces into ``edge`` (n_piece + 1,), see `first_sample_at`.
 
@@ -119,7 +119,7 @@ def _phases(line: Any, dt: float, n: int, start: int, fs: float, if_hz: float) -
     return base, np.int64(np.rint(per_sample * _CYCLE)), -0.5 * line[4] / (fs * fs) * _TURN
 
 
-@kernel
+@borrowing
 def plan(
     first: int, end: int, fs: float, if_hz: float, nco: Nco, edge: np.ndarray, state: State,
     rows: Rows, work: Work,
@@ -152,7 +152,7 @@ def _under_way(x: float, dump: int, chips_per_sample: float) -> tuple[int, bool]
     return number, x - number * dump < chips_per_sample - tolerance
 
 
-@kernel
+@borrowing
 def _channel(
     channel: int, n_cell: int, block: int, fs: float, if_hz: float, nco: Nco, state: State,
     rows: Rows, work: Work,
@@ -205,7 +205,7 @@ def _channel(
     state.phases[channel, 0], state.phases[channel, 1] = begun
 
 
-@kernel
+@borrowing
 def _finish(
     rows: Rows, channel: int, row: int, whole: tuple[int, int, int, int],
     begun: tuple[float, float], now: tuple[float, float],
