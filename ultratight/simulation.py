@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from signals.front_end import Recording, SyntheticIf
 from signals.nco import Correlator, Nco, Taps
 from ultratight import metrics
 from ultratight.filters.catalog import CATALOG, make_filter
@@ -23,6 +22,9 @@ from ultratight.tracking.rows import Fields, Rows
 from ultratight.tracking.scalar import Scalar, ScalarSettings
 from ultratight.tracking.ultra_tight import Settings, UltraTight
 from ultratight.world import World
+
+if TYPE_CHECKING:
+    from signals.front_end import Recording, SyntheticIf
 
 PROGRESS_S = 0.5
 """Progress is reported this often, in simulated time [s]"""
@@ -93,8 +95,10 @@ def run(
     began = time.perf_counter()
     world = World(scenario, seed, samples)
     closure = new_closure(scenario, world.knows, filter)
-    history = fly(closure, world.correlator(), world.imu[0], scenario.duration_s, progress)
-    wall = time.perf_counter() - began
+    correlator, imu = world.correlator(), world.imu[0]
+    flying = time.perf_counter()
+    history = fly(closure, correlator, imu, scenario.duration_s, progress)
+    wall, loop = time.perf_counter() - began, time.perf_counter() - flying
     run_ = Run(
         scenario=scenario.to_dict(),
         seed=seed,
@@ -107,7 +111,7 @@ def run(
         provenance=provenance(scenario, seed),
         summary={},
     )
-    run_.summary.update(_summary(run_, scenario, world, closure, wall, filter))
+    run_.summary.update(_summary(run_, scenario, world, closure, (wall, loop), filter))
     return run_
 
 
@@ -189,9 +193,14 @@ def jump_window(scenario: Scenario) -> tuple[float, float] | None:
 
 
 def _summary(
-    run_: Run, scenario: Scenario, world: World, closure: Closure, wall: float, own: Filter | None
+    run_: Run,
+    scenario: Scenario,
+    world: World,
+    closure: Closure,
+    took: tuple[float, float],
+    own: Filter | None,
 ) -> dict[str, Any]:
-    r = scenario.receiver
+    r, (wall, loop) = scenario.receiver, took
     tight = r.closure == "ultra-tight"
     name = (type(own).__name__ if own is not None else r.filter) if tight else None
     lost = dict.fromkeys(world.names)
@@ -210,6 +219,7 @@ def _summary(
         "fall_backs": sum(e.kind == "fall-back" for e in run_.events),
         **metrics.summarise(run_, jump_window(scenario)),
         "wall_s": round(wall, 3),
+        "loop_s": round(loop, 3),
         "realtime_factor": round(scenario.duration_s / wall, 2),
         "cpu_path": run_.provenance["cpu_path"],
     }

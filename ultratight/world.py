@@ -15,7 +15,6 @@ from signals import clock
 from signals.arcs import arcs
 from signals.codes import GPS_L1CA
 from signals.constants import C_MPS
-from signals.correlator import SampleCorrelator
 from signals.correlator_model import ModelCorrelator
 from signals.front_end import Recording, SyntheticIf
 from signals.nco import Correlator
@@ -224,6 +223,8 @@ class World:
                 self.seed,
                 multiple_access=c.multiple_access,
             )
+        from signals.correlator import SampleCorrelator  # takes a while, and the model needs none
+
         return SampleCorrelator(self.samples, self.chips, self.offset_chips)
 
     @property

@@ -10,7 +10,6 @@ from ultratight.ins.earth import (
     ecef_from_geodetic,
     geodetic_from_ecef,
     gravity,
-    gravity_each,
     gravity_gradient,
     rotation_e_from_n,
 )
@@ -86,8 +85,3 @@ def test_gravity_is_a_gradient_field():
     assert np.trace(D) == pytest.approx(2 * OMEGA_EARTH**2, abs=1e-14)
     assert np.abs(D - gravity_gradient(r)).max() < 1e-8  # J2 part, see the docstring
     assert np.abs(gravity_gradient(r)).max() > 2e-6
-
-
-def test_gravity_each_is_gravity():
-    r = ecef_from_geodetic([0.1, 0.7], [0.2, -2.0], [0.0, 8000.0])
-    np.testing.assert_array_equal(gravity_each(r), [gravity(x) for x in r])

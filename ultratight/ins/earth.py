@@ -85,15 +85,6 @@ def gravity(r: np.ndarray) -> np.ndarray:
 
 
 @kernel
-def gravity_each(r: np.ndarray) -> np.ndarray:
-    """`gravity` at each row of r (n, 3) -> (n, 3)."""
-    g = np.empty_like(r)
-    for i in range(r.shape[0]):
-        g[i, 0], g[i, 1], g[i, 2] = gravity_at(r[i, 0], r[i, 1], r[i, 2])
-    return g
-
-
-@kernel
 def gravity_gradient(r: np.ndarray) -> np.ndarray:
     """d gravity / d r (3, 3) [1/s2]: point mass + centrifugal (Groves 14.30 with both terms).
 

@@ -24,15 +24,15 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from signals.compiled import borrowing
 from signals.constants import OMEGA_EARTH
-from ultratight.ins.earth import ecef_from_geodetic, gravity, gravity_each, rotation_e_from_n
+from ultratight.ins.earth import ecef_from_geodetic, gravity, gravity_at, rotation_e_from_n
 
 _TURN_PER_CELL = 0.3  # rad; with 8 Gauss points the quadrature error is below 1e-16 relative
 _POSITION_NODES, _POSITION_WEIGHTS = np.polynomial.legendre.leggauss(8)
 _IMU_NODES, _IMU_WEIGHTS = np.polynomial.legendre.leggauss(5)
 _LONGEST_PIECE = 0.02  # s
 _INTERVALS_AT_ONCE = 20_000
-_EARTH_RATE = np.array([0.0, 0.0, OMEGA_EARTH])
 
 Side = Literal["left", "right"]
 
@@ -129,24 +129,10 @@ class RigidMotion(ABC):
 
     def _inertial(self, t: np.ndarray, side: Side) -> tuple[np.ndarray, np.ndarray]:
         """omega_ib_b and f_ib_b at times of any shape."""
-        m = self.at(t, side)
-        g = gravity_each(np.ascontiguousarray(m.r_eb_e.reshape(-1, 3))).reshape(m.r_eb_e.shape)
-        force_e = m.a_eb_e + 2.0 * np.cross(_EARTH_RATE, m.v_eb_e) - g
-        omega_ib_b = m.omega_eb_b + _EARTH_RATE @ m.C_b_e
-        return omega_ib_b, np.einsum("...ji,...j->...i", m.C_b_e, force_e)
-
-
-class _Plane(NamedTuple):
-    """State in the plane: s-th derivatives of V and psi, north and east displacement, roll."""
-
-    north: np.ndarray
-    east: np.ndarray
-    speed: np.ndarray
-    accel: np.ndarray
-    heading: np.ndarray
-    turn_rate: np.ndarray
-    roll: np.ndarray
-    roll_rate: np.ndarray
+        m = [np.ascontiguousarray(x.reshape(t.size, -1)) for x in self.at(t, side)]
+        omega, force = np.empty((t.size, 3)), np.empty((t.size, 3))
+        _felt(*m, omega, force)
+        return omega.reshape(*t.shape, 3), force.reshape(*t.shape, 3)
 
 
 @dataclass(frozen=True)
@@ -210,88 +196,29 @@ class Trajectory(RigidMotion):
 
     def speed(self, t: ArrayLike) -> np.ndarray:
         """Signed along-track speed [m/s] at times t [s]."""
-        return self._plane(np.asarray(t, float), "right").speed
+        t = np.asarray(t, float)
+        t0, v0, a0, da = np.moveaxis(self.cells[self._index(t, "right"), :4], -1, 0)
+        h = t - t0
+        return v0 + h * (a0 + 0.5 * da * h)
 
     def at(self, t: ArrayLike, side: Side = "right") -> Motion:
         """Motion at times t (...) [s]; at a jump the limit from the given side."""
-        p = self._plane(np.asarray(t, float), side)
-        c, s = np.cos(p.heading), np.sin(p.heading)
-        zero = np.zeros_like(c)
-        north_east = self.C_n_e[:, :2]
-        position = np.stack([p.north, p.east], axis=-1)
-        velocity = p.speed[..., None] * np.stack([c, s], axis=-1)
-        centripetal = p.speed * p.turn_rate
-        accel = np.stack([p.accel * c - centripetal * s, p.accel * s + centripetal * c], axis=-1)
-        sr, cr = np.sin(p.roll), np.cos(p.roll)
-        C_b_n = np.stack(
-            [
-                np.stack([c, -s * cr, s * sr], axis=-1),
-                np.stack([s, c * cr, -c * sr], axis=-1),
-                np.stack([zero, sr, cr], axis=-1),
-            ],
-            axis=-2,
-        )
-        return Motion(
-            r_eb_e=self.origin + position @ north_east.T,
-            v_eb_e=velocity @ north_east.T,
-            a_eb_e=accel @ north_east.T,
-            C_b_e=self.C_n_e @ C_b_n,
-            omega_eb_b=np.stack([p.roll_rate, p.turn_rate * sr, p.turn_rate * cr], axis=-1),
-        )
+        t = np.asarray(t, float)
+        shapes = ((3,), (3,), (3,), (3, 3), (3,))
+        motion = [np.empty((t.size, *shape)) for shape in shapes]
+        _move(
+            np.ravel(t), np.ravel(self._index(t, side)), self.cells, self.origin, self.C_n_e,
+            self._gravity_at_start if self.banked else math.inf, *motion,
+        )  # fmt: skip
+        return Motion(*(x.reshape(*t.shape, *n) for x, n in zip(motion, shapes, strict=True)))
 
     @cached_property
     def _gravity_at_start(self) -> float:
         return float(np.linalg.norm(gravity(self.origin)))
 
-    def _plane(self, t: np.ndarray, side: Side) -> _Plane:
-        last = len(self.cells) - 1
-        index = np.clip(np.searchsorted(self.cells[:, 0], t, side) - 1, 0, last)
-        # arrays of cell values, each of the shape of t
-        t0, v0, a0, da, psi0, w0, dw, north, east = np.moveaxis(self.cells[index], -1, 0)
-        h = t - t0
-        speed, accel = v0 + h * (a0 + 0.5 * da * h), a0 + da * h
-        heading, turn_rate = psi0 + h * (w0 + 0.5 * dw * h), w0 + dw * h
-        along, across = _displacement(h, v0, a0, da, w0, dw)
-        c, s = np.cos(psi0), np.sin(psi0)
-        roll, roll_rate = np.zeros_like(h), np.zeros_like(h)
-        if self.banked:
-            tangent = speed * turn_rate / self._gravity_at_start
-            roll = np.arctan(tangent)
-            slope = (accel * turn_rate + speed * dw) / self._gravity_at_start
-            roll_rate = slope / (1.0 + tangent**2)
-        return _Plane(
-            north + c * along - s * across,
-            east + s * along + c * across,
-            speed,
-            accel,
-            heading,
-            turn_rate,
-            roll,
-            roll_rate,
-        )
-
-
-def _displacement(
-    h: np.ndarray,
-    v0: np.ndarray,
-    a0: np.ndarray,
-    da: np.ndarray,
-    w0: np.ndarray,
-    dw: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Displacement after h along and across the heading that the cell began with, each (...)."""
-    straight = h * (v0 + h * (0.5 * a0 + da * h / 6.0))
-    turning = (w0 != 0.0) | (dw != 0.0)
-    if not np.any(turning):
-        return straight, np.zeros_like(straight)
-    along, across = np.zeros_like(straight), np.zeros_like(straight)
-    for node, weight in zip(_POSITION_NODES, _POSITION_WEIGHTS, strict=True):
-        u = 0.5 * h * (1.0 + node)
-        ds = 0.5 * h * weight * (v0 + u * (a0 + 0.5 * da * u))
-        psi = u * (w0 + 0.5 * dw * u)
-        along += ds * np.cos(psi)
-        across += ds * np.sin(psi)
-    return np.where(turning, along, straight), across
+    def _index(self, t: np.ndarray, side: Side) -> np.ndarray:
+        """Cell of each time."""
+        return np.clip(np.searchsorted(self.cells[:, 0], t, side) - 1, 0, len(self.cells) - 1)
 
 
 def _without_gaps(segments: Sequence[Segment], duration_s: float | None) -> list[Segment]:
@@ -331,10 +258,92 @@ def _integrate(profile: list[Segment], heading: float, speed: float) -> np.ndarr
         for k in range(n):
             a, w = s.a0 + da * k * h, s.turn_rate0 + dw * k * h
             rows.append([s.t0 + k * h, v, a, da, psi, w, dw, north, east])
-            cell = [np.array(x) for x in (h, v, a, da, w, dw)]
-            along, across = _displacement(*cell)
-            north += float(math.cos(psi) * along - math.sin(psi) * across)
-            east += float(math.sin(psi) * along + math.cos(psi) * across)
+            along, across = _displacement(h, v, a, da, w, dw)
+            north += math.cos(psi) * along - math.sin(psi) * across
+            east += math.sin(psi) * along + math.cos(psi) * across
             v += h * (a + 0.5 * da * h)
             psi += h * (w + 0.5 * dw * h)
     return np.array(rows)
+
+
+# --- kernels --------------------------------------------------------------------------------
+
+
+@borrowing
+def _displacement(
+    h: float, v0: float, a0: float, da: float, w0: float, dw: float
+) -> tuple[float, float]:
+    """Displacement after h along and across the heading that the cell began with."""
+    if w0 == 0.0 and dw == 0.0:
+        return h * (v0 + h * (0.5 * a0 + da * h / 6.0)), 0.0
+    along, across = 0.0, 0.0
+    for k in range(_POSITION_NODES.size):
+        u = 0.5 * h * (1.0 + _POSITION_NODES[k])
+        ds = 0.5 * h * _POSITION_WEIGHTS[k] * (v0 + u * (a0 + 0.5 * da * u))
+        psi = u * (w0 + 0.5 * dw * u)
+        along += ds * math.cos(psi)
+        across += ds * math.sin(psi)
+    return along, across
+
+
+@borrowing
+def _move(
+    t: np.ndarray,
+    index: np.ndarray,
+    cells: np.ndarray,
+    origin: np.ndarray,
+    N: np.ndarray,
+    g: float,
+    r: np.ndarray,
+    v: np.ndarray,
+    a: np.ndarray,
+    C: np.ndarray,
+    omega: np.ndarray,
+) -> None:
+    """Fields of a `Motion` at each t (n,), in cell index (n,); N = C_n_e; g: inf for no bank."""
+    for k in range(t.size):
+        cell = cells[index[k]]
+        h = t[k] - cell[0]
+        da, dw = cell[3], cell[6]
+        speed, accel = cell[1] + h * (cell[2] + 0.5 * da * h), cell[2] + da * h
+        heading, rate = cell[4] + h * (cell[5] + 0.5 * dw * h), cell[5] + dw * h
+        along, across = _displacement(h, cell[1], cell[2], da, cell[5], dw)
+        c0, s0 = math.cos(cell[4]), math.sin(cell[4])
+        north, east = cell[7] + c0 * along - s0 * across, cell[8] + s0 * along + c0 * across
+        # banked: tan(roll) = V psi' / g
+        tangent = speed * rate / g
+        cr = 1.0 / math.sqrt(1.0 + tangent * tangent)
+        sr = tangent * cr
+        roll_rate = (accel * rate + speed * dw) / g / (1.0 + tangent * tangent)
+        c, s = math.cos(heading), math.sin(heading)
+        centripetal = speed * rate
+        for i in range(3):
+            forward, right = c * N[i, 0] + s * N[i, 1], c * N[i, 1] - s * N[i, 0]
+            r[k, i] = origin[i] + north * N[i, 0] + east * N[i, 1]
+            v[k, i] = speed * forward
+            a[k, i] = accel * forward + centripetal * right
+            C[k, i, 0] = forward
+            C[k, i, 1] = cr * right + sr * N[i, 2]
+            C[k, i, 2] = cr * N[i, 2] - sr * right
+        omega[k, 0], omega[k, 1], omega[k, 2] = roll_rate, rate * sr, rate * cr
+
+
+@borrowing
+def _felt(
+    r: np.ndarray,
+    v: np.ndarray,
+    a: np.ndarray,
+    C: np.ndarray,
+    omega_eb: np.ndarray,
+    omega_ib: np.ndarray,
+    force: np.ndarray,
+) -> None:
+    """omega_ib_b and f_ib_b (n, 3) of motions; C (n, 9)."""
+    for k in range(r.shape[0]):
+        gx, gy, gz = gravity_at(r[k, 0], r[k, 1], r[k, 2])
+        x = a[k, 0] - 2.0 * OMEGA_EARTH * v[k, 1] - gx
+        y = a[k, 1] + 2.0 * OMEGA_EARTH * v[k, 0] - gy
+        z = a[k, 2] - gz
+        for j in range(3):
+            omega_ib[k, j] = omega_eb[k, j] + OMEGA_EARTH * C[k, 6 + j]
+            force[k, j] = C[k, j] * x + C[k, 3 + j] * y + C[k, 6 + j] * z
