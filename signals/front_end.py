@@ -6,39 +6,65 @@ With sample n taken at t = n / fs,
               exp(j 2 pi (f_IF t + carrier_phase_cycles_i)) + sigma (w_I + j w_Q)           (1)
 
 with w of unit variance, so that the noise density is N0 over the complex band fs (Kaplan &
-Hegarty, 3rd ed., ch. 8).  The band is unfiltered: chips have infinitely steep edges.
+Hegarty, 3rd ed., ch. 8).  A real sampler takes
 
-The work is done in cells of `CELL` samples that are fixed to the absolute sample number; in each
-the phases come anew from the float64 cubics of the truth.  The carrier follows them to second
-order inside the cell, the code to first (at 10 g the rest is below 1e-7 chips), data symbols
-change at the very sample.  Hence the same bits for any block or number of threads.  A reader that
-goes on where it was gets whole cells ahead: commands of 1 ms would compute every cell twice.
+    x_n = sum_i 2 sqrt(C_i / (N0 fs)) sigma D_i C_i(code_phase_i)
+              cos(2 pi (f_IF t + carrier_phase_cycles_i)) + sigma w                         (2)
+
+as its noise fills fs / 2: sigma^2 = N0 fs / 2, C = amplitude^2 / 2.  The band is unfiltered: chips
+have infinitely steep edges.
+
+The work is done by `if_blocks` in blocks that are fixed to the absolute sample number: the same
+bits for any block or number of threads.  A reader that goes on where it was gets blocks ahead:
+commands of 1 ms would compute every block several times.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Literal, NamedTuple
 
 import numpy as np
 
-from signals.compiled import FAST_SUM, kernel
-from signals.noise import CELL, complex_gaussian_cell, stream_key
+from signals.cpu import path as cpu_path
+from signals.if_blocks import BLOCK, Truth, generate, layout
+from signals.if_loops import Layout, Quantiser
+from signals.noise import stream_key
 from signals.propagation import SignalState
-from signals.recording import Recording, SampleFormat, check_range
-from signals.replica import STRIDE, carrier_phasors, carrier_steps, code_steps, replica_table
+from signals.recording import Recording, check_range
+from signals.replica import Replicas, replicas
+from signals.vectors import body
 
 GUARD_SAMPLES = 1e-5
 """Instants this little after a sample still include it: float64 resolves 2e-6 samples at 1 h"""
 
-_INT8_SIGMA = 24.0
+IfFormat = Literal["int8", "int16", "float32", "bits2"]
+
+_AHEAD = 16  # blocks made ahead per thread for a reader that goes on
 _ROUNDING_VAR = 1.0 / 12.0
-_CELLS_PER_BLOCK = 1024
-_CELLS_AHEAD = 64
+_THRESHOLD = 0.9957  # of the four levels +-1, +-3, in sigma: Max, IRE Trans. IT-6 (1960)
+
+
+class _Scale(NamedTuple):
+    """What a sample format can hold."""
+
+    dtype: str
+    sigma: float  # as long as none is asked for
+    most: float  # highest level, least is -most
+    least_sigma: float
+    most_sigma: float
+
+
+_SCALES = {
+    "int8": _Scale("int8", 24.0, 127.0, 1.0, 40.0),
+    "int16": _Scale("int16", 1000.0, 32767.0, 1.0, 8000.0),
+    "float32": _Scale("float32", 1.0, math.inf, 0.0, math.inf),
+    "bits2": _Scale("int8", 0.0, 0.0, 0.0, 0.0),
+}
 
 
 def first_sample_at(t_s: float | np.ndarray, sample_rate_hz: float) -> np.ndarray:
@@ -47,103 +73,148 @@ def first_sample_at(t_s: float | np.ndarray, sample_rate_hz: float) -> np.ndarra
 
 
 class SyntheticIf:
-    """Samples of equation (1), computed when asked for; an `IfSource`.
+    """Samples of equation (1) or (2), computed when asked for; where complex an `IfSource`.
 
     Parameters
     ----------
     state : truth at the antenna; samples exist from its first to its last instant.
-    chips : (n_channel, length) int8 of +-1.
-    sample_rate_hz : complex sampling rate, not below the chip rate.
+    chips : (n_channel, length) of +-1, or `Replicas`: any periods, values and sub-chips.
+    sample_rate_hz : complex (or real) sampling rate, not below the sub-chip rate.
     seed : of the run; the noise is its stream "thermal".
-    if_hz : frequency at which the nominal carrier appears.
-    sample_format : "int8" (rounded, clipped at +-127; sigma 24) or "float32" (sigma 1).
+    if_hz : frequency at which the nominal carrier appears; above 0 and below fs / 2 if real.
+    sample_format : "int8", "int16" (rounded), "float32", or "bits2": -3, -1, 1, 3 as int8, with
+        thresholds at 0 and 0.9957 rms.
     noise : False leaves the satellites only, at the same scale.
-    symbol_chips : length of a data symbol in chips.
+    symbol_chips : length of a data symbol in chips, of all channels or of each.
     workers : threads; the bits do not depend on them.
+    real : a real sampler: samples are (n,).
+    sigma : rms of the noise of I, Q or x in units of the samples, rounding included; None: 24 of
+        int8, 1000 of int16, 1 of float32.  int8 takes 1 to 40 and clips at +-127 (24: 5.3 sigma,
+        32: 4.0, 40: 3.2), int16 takes 1 to 8000 and clips at +-32767.
+
+    ``sigma`` of the source is that of `IfSource`: what it was given, 1.8855 for "bits2" (the rms
+    of its samples without satellites), and that over sqrt(2) if real.
 
     Raises
     ------
     ValueError : shapes that disagree, symbols that do not cover the truth, a sampling rate below
-        the chip rate; from `samples`, a range outside the truth.
+        the sub-chip rate, a frequency or sigma out of range; from `samples`, a range outside the
+        truth.
     """
 
     def __init__(
         self,
         state: SignalState,
-        chips: np.ndarray,
+        chips: np.ndarray | Replicas,
         sample_rate_hz: float,
         seed: int,
         *,
         if_hz: float = 0.0,
-        sample_format: SampleFormat = "int8",
+        sample_format: IfFormat = "int8",
         noise: bool = True,
-        symbol_chips: int = 20_460,
+        symbol_chips: int | np.ndarray = 20_460,
         workers: int = 1,
+        real: bool = False,
+        sigma: float | None = None,
     ) -> None:
-        if sample_format not in ("int8", "float32"):
-            raise ValueError(f'sample_format is {sample_format!r}: expected "int8" or "float32"')
-        _check_state(state, chips, sample_rate_hz, symbol_chips)
         self.sample_rate_hz, self.if_hz = float(sample_rate_hz), float(if_hz)
-        self.dtype = np.dtype(sample_format)
-        self.sigma = _INT8_SIGMA if sample_format == "int8" else 1.0
-        edge = first_sample_at(state.t_s, sample_rate_hz)
+        self.sample_format, self.real = sample_format, real
+        _check_sampler(self.sample_rate_hz, self.if_hz, sample_format, real, sigma, workers)
+        table = _replicas(chips, len(state.valid))
+        length = np.broadcast_to(np.asarray(symbol_chips, np.int64), (len(state.valid),))
+        _check_state(state, table, self.sample_rate_hz, length)
+        self.dtype = np.dtype(_SCALES[sample_format].dtype)
+        rms, unit, levels = _levels(sample_format, sigma, noise)
+        self.sigma = rms / math.sqrt(2.0) if real else rms
+        edge = first_sample_at(state.t_s, self.sample_rate_hz)
         self.first_sample, self.end_sample = int(edge[0]), int(edge[-1])
-        self._workers = workers
-        self._kept = -1, np.empty((0, 2), self.dtype)  # last computed: number of the first, samples
-        # rounding adds its own variance: what is drawn leaves room for it, the sum has `sigma`
-        rounding = _ROUNDING_VAR if sample_format == "int8" else 0.0
         cn0_hz = np.where(state.valid, 10.0 ** (np.asarray(state.cn0_dbhz) / 10.0), 0.0)
-        self._arguments: tuple[Any, ...] = (
-            stream_key(seed, "thermal"),
-            math.sqrt(self.sigma**2 - rounding) if noise else 0.0,
-            self.sample_rate_hz,
-            self.if_hz / self.sample_rate_hz,
+        truth = Truth(
             edge,
             np.ascontiguousarray(state.t_s, np.float64),
             np.ascontiguousarray(state.code_phase_chips, np.float64),
             np.ascontiguousarray(state.carrier_phase_cycles, np.float64),
-            np.sqrt(2.0 * cn0_hz / self.sample_rate_hz) * self.sigma,
+            np.sqrt((4.0 if real else 2.0) / self.sample_rate_hz * cn0_hz) * unit,
             np.ascontiguousarray(state.symbols, np.int8),
-            int(state.first_symbol),
-            int(symbol_chips),
-            replica_table(chips),
-            int(chips.shape[1]),
+            np.full(len(length), state.first_symbol, np.int64),
+            np.ascontiguousarray(length),
+            self.sample_rate_hz,
+            self.if_hz / self.sample_rate_hz,
         )
+        key = stream_key(seed, "thermal")
+        self._arguments = (int(key[0]), int(key[1])), levels, truth, table
+        self._body = body(cpu_path())
+        self._rooms = [layout(len(length), self._body) for _ in range(workers)]
+        self._pool = ThreadPoolExecutor(workers) if workers > 1 else None
+        self._ahead = _AHEAD * workers
+        self._kept = -1, np.empty(self._shape(0), self.dtype)  # number of the first, samples
+
+    def _shape(self, n: int) -> tuple[int, ...]:
+        return (n,) if self.real else (n, 2)
 
     def samples(self, n0: int, n1: int) -> np.ndarray:
-        """Samples n0 <= n < n1 as (n1 - n0, 2) of the sample format: I, Q."""
-        check_range(n0, n1, self.first_sample, self.end_sample, "the truth")
-        first, kept = self._kept
-        if not first <= n0 <= n1 <= first + len(kept):
-            first, kept = self._kept = n0, self._more(n0, n1)
-        return kept[n0 - first : n1 - first].copy()
+        """Samples n0 <= n < n1 of the sample format: (n1 - n0, 2) as I, Q, or (n1 - n0,) if real.
 
-    def _more(self, n0: int, n1: int) -> np.ndarray:
-        """At least samples n0 ... n1 - 1, what is kept of them included."""
+        The array is the caller's own.
+        """
+        check_range(n0, n1, self.first_sample, self.end_sample, "the truth")
+        out = np.empty(self._shape(n1 - n0), self.dtype)
+        self._read(n0, out)
+        return out
+
+    def stream(self, size: int = 1 << 18) -> Iterator[np.ndarray]:
+        """All samples in order, in arrays of ``size``; the last may be shorter."""
+        for n in range(self.first_sample, self.end_sample, size):
+            yield self.samples(n, min(n + size, self.end_sample))
+
+    def _read(self, n0: int, out: np.ndarray) -> None:
+        """Samples from n0 on: what is kept, whole blocks straight away, the rest by way of it."""
+        n, end = n0, n0 + len(out)
+        while n < end:
+            first, kept = self._kept
+            known = min(end, first + len(kept)) if first <= n else n
+            whole = (end - n) // BLOCK * BLOCK
+            if known > n:
+                out[n - n0 : known - n0] = kept[n - first : known - first]
+                n = known
+            elif n % BLOCK == 0 and whole >= self._ahead * BLOCK:
+                self._generate(n, out[n - n0 : n - n0 + whole])
+                n += whole
+            else:
+                self._keep(n, end)
+
+    def _keep(self, n: int, end: int) -> None:
+        """Keep blocks from that of sample n on, ahead of ``end`` if n goes on from what was."""
         first, kept = self._kept
-        goes_on = first <= n0 <= first + len(kept)
-        known = kept[n0 - first :] if goes_on else kept[:0]
-        start = n0 + len(known)
-        end = max(n1, start + _CELLS_AHEAD * CELL) if goes_on else n1
-        more = np.empty((min(-(-end // CELL) * CELL, self.end_sample) - start, 2), self.dtype)
-        self._generate(start, more)
-        return np.concatenate([known, more])
+        goes_on = n == first + len(kept)
+        start = n - n % BLOCK
+        wanted = self.end_sample if goes_on else end
+        blocks = min(-(-(wanted - start) // BLOCK), self._ahead)
+        if len(kept) != blocks * BLOCK:
+            kept = np.empty(self._shape(blocks * BLOCK), self.dtype)
+        self._kept = -1, kept[:0]  # not half new, if this is interrupted
+        self._generate(start, kept)
+        self._kept = start, kept
 
     def _generate(self, n0: int, out: np.ndarray) -> None:
-        if self._workers == 1:
-            _generate(n0, out, *self._arguments)
+        """Whole blocks from sample n0 on, shared among the threads."""
+        first, blocks = n0 // BLOCK, len(out) // BLOCK
+        key, levels, truth, table = self._arguments
+        limits = np.linspace(0, blocks, len(self._rooms) + 1).astype(int).tolist()
+
+        def share(a: int, b: int, room: Layout) -> None:
+            part = out[a * BLOCK : b * BLOCK]
+            generate(self._body, first + a, part, key, levels, truth, table, room)
+
+        if self._pool is None:
+            share(0, blocks, self._rooms[0])
             return
-        limits = np.linspace(n0, n0 + len(out), self._workers + 1).astype(np.int64)
-        limits[1:-1] -= limits[1:-1] % CELL  # no cell is computed twice
-        limits = np.maximum(limits, n0)
-        with ThreadPoolExecutor(self._workers) as pool:
-            parts = [
-                pool.submit(_generate, a, out[a - n0 : b - n0], *self._arguments)
-                for a, b in itertools.pairwise(limits.tolist())
-                if b > a
-            ]
-            for part in parts:
-                part.result()
+        parts = [
+            self._pool.submit(share, a, b, room)
+            for (a, b), room in zip(itertools.pairwise(limits), self._rooms, strict=True)
+        ]
+        for done in parts:
+            done.result()
 
     def record(
         self,
@@ -165,209 +236,103 @@ class SyntheticIf:
         )
         out: np.ndarray
         if path is None:
-            out = np.empty((n, 2), self.dtype)
+            out = np.empty(self._shape(n), self.dtype)
         else:
-            out = np.memmap(path, self.dtype, "w+", shape=(n, 2))
-        step = _CELLS_PER_BLOCK * CELL
+            out = np.memmap(path, self.dtype, "w+", shape=self._shape(n))
+        step = 16 * _AHEAD * BLOCK
         for start in range(0, n, step):
             block = out[start : start + step]
-            self._generate(self.first_sample + start, block)
+            self._read(self.first_sample + start, block)
             if progress is not None:
                 progress(start + len(block), n)
         if isinstance(out, np.memmap):
             out.flush()
+        kind = {"int8": "i8", "int16": "i16", "float32": "f32"}[self.dtype.name]
         return Recording(
             out if path is None else path,
             self.sample_rate_hz,
             self.if_hz,
             self.sigma,
-            sample_format="int8" if self.dtype == np.int8 else "float32",
+            sample_format=("r" if self.real else "c") + kind,
             first_sample=self.first_sample,
         )
 
 
-def _check_state(
-    state: SignalState, chips: np.ndarray, sample_rate_hz: float, symbol_chips: int
+def _levels(sample_format: str, sigma: float | None, noise: bool) -> tuple[float, float, Quantiser]:
+    """Rms of the samples, rms before rounding in steps between levels, and the levels."""
+    scale = _SCALES[sample_format]
+    if sample_format == "bits2":
+        rms = math.sqrt(1.0 + 8.0 * math.erfc(_THRESHOLD / math.sqrt(2.0)))
+        drawn = unit = 1.0 / _THRESHOLD
+        bounds = -2.0, 1.0, 0.5, 1.0
+    else:
+        rms = unit = scale.sigma if sigma is None else float(sigma)
+        # rounding adds its own variance: what is drawn leaves room for it
+        drawn = math.sqrt(rms**2 - (0.0 if sample_format == "float32" else _ROUNDING_VAR))
+        bounds = -scale.most, scale.most, 0.0, 0.0
+    return rms, unit, Quantiser(*(np.float32(v) for v in (drawn if noise else 0.0, *bounds)))
+
+
+def _replicas(chips: np.ndarray | Replicas, n_channel: int) -> Replicas:
+    if isinstance(chips, Replicas):
+        if len(chips.first) != n_channel:
+            raise ValueError(f"chips has {len(chips.first)} rows: expected {n_channel}")
+        return chips
+    if np.ndim(chips) != 2 or len(chips) != n_channel:
+        raise ValueError(f"chips are {np.shape(chips)}: expected ({n_channel}, length)")
+    return replicas(list(chips))
+
+
+def _check_sampler(
+    rate_hz: float, if_hz: float, sample_format: str, real: bool, sigma: float | None, workers: int
 ) -> None:
-    n_channel, n_piece = state.valid.shape
-    if chips.ndim != 2 or chips.shape[0] != n_channel or chips.shape[1] < CELL - 1:
+    if sample_format not in _SCALES:
+        names = ", ".join(f'"{name}"' for name in _SCALES)
+        raise ValueError(f"sample_format is {sample_format!r}: expected one of {names}")
+    if not (math.isfinite(rate_hz) and rate_hz > 0.0):
+        raise ValueError(f"sample_rate_hz is {rate_hz}: expected a positive rate")
+    if real and not 0.0 < if_hz < rate_hz / 2.0:
+        raise ValueError(f"if_hz is {if_hz}: expected above 0 and below {rate_hz / 2.0:g}, as real")
+    if not abs(if_hz) <= rate_hz / 2.0:
+        raise ValueError(f"if_hz is {if_hz}: expected at most half of {rate_hz:g} Hz")
+    scale = _SCALES[sample_format]
+    if sigma is not None and sample_format == "bits2":
+        raise ValueError(f'sigma is {sigma}: expected none, the thresholds of "bits2" follow it')
+    if sigma is not None and not (
+        math.isfinite(sigma) and sigma > 0.0 and scale.least_sigma <= sigma <= scale.most_sigma
+    ):
         raise ValueError(
-            f"chips are {chips.shape}: expected ({n_channel}, length), length >= {CELL - 1}"
+            f"sigma is {sigma}: expected {scale.least_sigma:g} to {scale.most_sigma:g} "
+            f"of {sample_format}"
         )
+    if workers < 1:
+        raise ValueError(f"workers is {workers}: expected >= 1")
+
+
+def _check_state(
+    state: SignalState, table: Replicas, sample_rate_hz: float, symbol_chips: np.ndarray
+) -> None:
+    _, n_piece = state.valid.shape
     if len(state.t_s) != n_piece + 1 or state.t_s[0] < 0.0:
         raise ValueError(f"t_s is {state.t_s}: expected {n_piece + 1} instants >= 0")
-    if not state.valid.any():
-        return
-    rate_hz = state.code_phase_chips[..., 1][state.valid].max()
-    if not sample_rate_hz >= rate_hz:
-        raise ValueError(f"sample_rate_hz is {sample_rate_hz}: expected >= chip rate {rate_hz:.0f}")
+    if symbol_chips.size and not symbol_chips.min() >= 1:
+        raise ValueError(f"symbol_chips is {symbol_chips.min()}: expected >= 1")
     dt = np.diff(state.t_s)
-    c0, c1, c2, c3 = np.moveaxis(state.code_phase_chips, -1, 0)
-    ends = c0 + dt * (c1 + dt * (c2 + dt * c3))
-    need = math.floor(c0[state.valid].min() / symbol_chips)
-    need_end = math.floor(ends[state.valid].max() / symbol_chips) + 1
     have, have_end = state.first_symbol, state.first_symbol + state.symbols.shape[1]
-    if need < have or need_end > have_end:
-        raise ValueError(
-            f"symbols {have} to {have_end} do not cover the truth: expected {need} to {need_end}"
-        )
-
-
-# ---- kernels ---------------------------------------------------------------------------------
-
-_F = np.float32
-_32 = np.uint64(32)
-
-
-@kernel
-def _cubic(c: np.ndarray, dt: float) -> float:
-    return c[0] + dt * (c[1] + dt * (c[2] + dt * c[3]))
-
-
-@kernel
-def _fill_chips(chip: np.ndarray, code_base: Any, code_step: Any, table: np.ndarray) -> None:
-    """Chips under n samples into ``chip`` (n,).  Alone, as LLVM keeps a lookup loop scalar."""
-    for j in range(chip.shape[0]):
-        chip[j] = table[(code_base + np.uint64(j) * code_step) >> _32]
-
-
-@kernel(fastmath=FAST_SUM)
-def _add_carrier(
-    i: np.ndarray, q: np.ndarray, chip: np.ndarray, size: Any, coarse: np.ndarray, fine: np.ndarray
-) -> None:
-    """Add size x chip x carrier to float32 i, q (n,); see `carrier_phasors`."""
-    n = np.uint64(i.shape[0])
-    fine_c, fine_s = fine[0], fine[1]
-    for m in range((i.shape[0] + STRIDE - 1) // STRIDE):
-        start = np.uint64(m * STRIDE)
-        c, s = size * coarse[0, m], size * coarse[1, m]
-        for k in range(min(np.uint64(STRIDE), n - start)):
-            i[start + k] += chip[start + k] * (c * fine_c[k] - s * fine_s[k])
-            q[start + k] += chip[start + k] * (s * fine_c[k] + c * fine_s[k])
-
-
-@kernel
-def _add_piece(
-    i: np.ndarray,
-    q: np.ndarray,
-    chip: np.ndarray,
-    coarse: np.ndarray,
-    fine: np.ndarray,
-    n: int,
-    t0_s: float,
-    sample_rate_hz: float,
-    if_ratio: float,
-    code: np.ndarray,
-    carrier: np.ndarray,
-    amplitude: float,
-    symbols: np.ndarray,
-    first_symbol: int,
-    symbol_chips: int,
-    table: np.ndarray,
-    length: int,
-) -> None:
-    """Add samples n ... n + len(i) - 1 of one satellite, all of one piece of its truth."""
-    count = i.shape[0]
-    x0 = _cubic(code, n / sample_rate_hz - t0_s)
-    slope = (_cubic(code, (n + count) / sample_rate_hz - t0_s) - x0) / count
-    a = 0
-    while a < count:
-        x_a = x0 + slope * a
-        symbol = math.floor(x_a / symbol_chips)
-        b = min(count, max(a + 1, math.ceil(((symbol + 1) * symbol_chips - x0) / slope)))
-        dt_a, dt_b = (n + a) / sample_rate_hz - t0_s, (n + b) / sample_rate_hz - t0_s
-        if_a = (n + a) * if_ratio
-        if_a -= math.floor(if_a)
-        if_step = (b - a) * if_ratio
-        base, step, bend = carrier_steps(
-            _cubic(carrier, dt_a) + if_a,
-            _cubic(carrier, 0.5 * (dt_a + dt_b)) + if_a + 0.5 * if_step,
-            _cubic(carrier, dt_b) + if_a + if_step,
-            b - a,
-        )
-        code_base, code_step = code_steps(x_a, slope, length)
-        # the first sample may lie a rounding error before the first symbol
-        data = symbols[min(max(symbol - first_symbol, 0), symbols.shape[0] - 1)]
-        chips = chip[: b - a]
-        _fill_chips(chips, code_base, code_step, table)
-        carrier_phasors(base, step, bend, b - a, coarse, fine)
-        _add_carrier(i[a:b], q[a:b], chips, _F(amplitude * data), coarse, fine)
-        a = b
-
-
-@kernel
-def _store(i: np.ndarray, q: np.ndarray, out: np.ndarray) -> None:
-    """Planar float32 (n,) to interleaved float32 or int8 (2 n,)."""
-    for j in range(i.shape[0]):
-        if out.itemsize == 1:
-            out[2 * j] = np.int8(min(max(np.rint(i[j]), _F(-127.0)), _F(127.0)))
-            out[2 * j + 1] = np.int8(min(max(np.rint(q[j]), _F(-127.0)), _F(127.0)))
-        else:
-            out[2 * j] = i[j]
-            out[2 * j + 1] = q[j]
-
-
-@kernel
-def _generate(
-    n0: int,
-    out: np.ndarray,
-    key: np.ndarray,
-    noise: float,
-    sample_rate_hz: float,
-    if_ratio: float,
-    edge: np.ndarray,
-    t_s: np.ndarray,
-    code: np.ndarray,
-    carrier: np.ndarray,
-    amplitude: np.ndarray,
-    symbols: np.ndarray,
-    first_symbol: int,
-    symbol_chips: int,
-    table: np.ndarray,
-    length: int,
-) -> None:
-    """Samples n0 ... n0 + n - 1 into ``out`` (n, 2), by whole cells."""
-    n1 = n0 + out.shape[0]
-    i, q, chip = np.empty(CELL, _F), np.empty(CELL, _F), np.empty(CELL, _F)
-    coarse, fine = np.empty((2, CELL // STRIDE), _F), np.empty((2, STRIDE), _F)
-    flat = out.reshape(-1)
-    piece = 0
-    for cell in range(n0 // CELL, (n1 + CELL - 1) // CELL):
-        start = cell * CELL
-        i[:] = _F(0.0)
-        q[:] = _F(0.0)
-        if noise > 0.0:
-            complex_gaussian_cell(key, cell, i, q)
-            i *= _F(noise)
-            q *= _F(noise)
-        while piece < t_s.shape[0] - 2 and edge[piece + 1] <= start:
-            piece += 1
-        p = piece
-        while p < t_s.shape[0] - 1 and edge[p] < start + CELL:
-            a, b = max(edge[p], start) - start, min(edge[p + 1], start + CELL) - start
-            for channel in range(table.shape[0]):
-                if b > a and amplitude[channel, p] > 0.0:
-                    _add_piece(
-                        i[a:b],
-                        q[a:b],
-                        chip,
-                        coarse,
-                        fine,
-                        start + a,
-                        t_s[p],
-                        sample_rate_hz,
-                        if_ratio,
-                        code[channel, p],
-                        carrier[channel, p],
-                        amplitude[channel, p],
-                        symbols[channel],
-                        first_symbol,
-                        symbol_chips,
-                        table[channel],
-                        length,
-                    )
-            p += 1
-        a, b = max(n0, start), min(n1, start + CELL)
-        _store(
-            i[a - start : b - start], q[a - start : b - start], flat[2 * (a - n0) : 2 * (b - n0)]
-        )
+    for i in np.flatnonzero(state.valid.any(axis=1)):
+        on = state.valid[i]
+        c0, c1, c2, c3 = state.code_phase_chips[i, on].T
+        end = c0 + dt[on] * (c1 + dt[on] * (c2 + dt[on] * c3))
+        rate_hz = max(c1.max(), (c1 + dt[on] * (2.0 * c2 + dt[on] * 3.0 * c3)).max())
+        if not sample_rate_hz >= rate_hz * table.per_chip[i]:
+            what, n = ("chip", 1) if table.per_chip[i] == 1 else ("sub-chip", table.per_chip[i])
+            raise ValueError(
+                f"sample_rate_hz is {sample_rate_hz}: expected >= {what} rate {n * rate_hz:.0f}"
+            )
+        need = math.floor(c0.min() / symbol_chips[i])
+        need_end = math.floor(end.max() / symbol_chips[i]) + 1
+        if need < have or need_end > have_end:
+            raise ValueError(
+                f"symbols {have} to {have_end} do not cover the truth: expected {need} to "
+                f"{need_end}"
+            )

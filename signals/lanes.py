@@ -37,7 +37,13 @@ from numba.core import cgutils
 
 from signals import elementary
 
-F32, I16, I32, I64 = ir.FloatType(), ir.IntType(16), ir.IntType(32), ir.IntType(64)
+F32, F64, I16, I32, I64 = (
+    ir.FloatType(),
+    ir.DoubleType(),
+    ir.IntType(16),
+    ir.IntType(32),
+    ir.IntType(64),
+)
 
 WINDOW = {16: 32, 8: 8}
 """Table entries within reach of a look-up: vpermi2ps has two registers of 16, vpermps one of 8"""
@@ -128,7 +134,7 @@ def emit_split_float32(builder: Any, pointer: Any, index: Any, lanes: int) -> tu
 
 
 def _bytes(element: ir.Type) -> int:
-    return 4 if element == F32 else element.width // 8
+    return {F32: 4, F64: 8}.get(element) or element.width // 8
 
 
 def emit_stack(builder: Any, element: ir.Type, count: int) -> Any:
@@ -173,7 +179,7 @@ def emit_loop(
 
 def emit_fma(builder: Any, a: Any, b: Any, c: Any) -> Any:
     """a b + c of float32 vectors, rounded once."""
-    return _call(builder, f"llvm.fma.v{a.type.count}f32", a.type, [a, b, c])
+    return call(builder, f"llvm.fma.v{a.type.count}f32", a.type, [a, b, c])
 
 
 def emit_rotate(builder: Any, i: Any, q: Any, c: Any, s: Any) -> tuple[Any, Any]:
@@ -262,9 +268,10 @@ def emit_look_up(builder: Any, window: Sequence[Any], relative: Any) -> Any:
         name, args = "llvm.x86.avx512.vpermi2var.ps.512", [window[0], index, window[1]]
     else:
         name, args = "llvm.x86.avx2.permps", [window[0], index]
-    return _call(builder, name, window[0].type, args)
+    return call(builder, name, window[0].type, args)
 
 
-def _call(builder: Any, name: str, result: ir.Type, args: list[Any]) -> Any:
+def call(builder: Any, name: str, result: ir.Type, args: list[Any]) -> Any:
+    """Call of the LLVM intrinsic ``name``."""
     kind = ir.FunctionType(result, [a.type for a in args])
     return builder.call(cgutils.get_or_insert_function(builder.module, kind, name), args)

@@ -13,13 +13,16 @@ import math
 from typing import Any
 
 import numpy as np
+from numba.extending import overload
 
 from signals.compiled import kernel
 from signals.elementary import cos_sin, log, wrap
 from signals.elementary_double import normal_pair
+from signals.noise_lanes import rows_16, rows_64
+from signals.vectors import Avx2, Avx512, Body
 
 CELL = 1024
-"""Samples in a cell of `complex_gaussian_cell`: sample j and j + CELL / 2 share a counter"""
+"""Samples in a cell of `complex_gaussian_cell`"""
 
 
 def stream_key(seed: int, name: str) -> np.ndarray:
@@ -48,7 +51,7 @@ _LOW = np.uint64(0xFFFFFFFF)
 _32 = np.uint64(32)
 _F = np.float32
 _UNIT = _F(2.0**-32)
-_HALF, _MINUS_TWO, _ZERO = _F(0.5), _F(-2.0), _F(0.0)
+_HALF, _MINUS_TWO = _F(0.5), _F(-2.0)
 
 
 @kernel(inline="always")
@@ -72,43 +75,92 @@ def philox(c0: Any, c1: Any, c2: Any, c3: Any, k0: Any, k1: Any) -> tuple[Any, A
 
 
 @kernel(inline="always")
-def _box_muller(w0: Any, w1: Any) -> tuple[Any, Any]:
-    """Two float32 normals of two words; the 32-bit uniform in the log reaches 6.7 sigma."""
+def _box_muller(w0: Any, w1: Any, scale: Any) -> tuple[Any, Any]:
+    """Two normals of two words, float32; the 32-bit uniform in the log reaches 6.7 sigma."""
     u = (_F(np.uint32(w0)) + _HALF) * _UNIT
-    radius = _F(math.sqrt(max(_MINUS_TWO * log(u), _ZERO)))
+    radius = scale * _F(math.sqrt(_MINUS_TWO * log(u)))
     c, s = cos_sin(wrap(np.int64(w1)))
     return radius * c, radius * s
 
 
+def gaussian_rows(body: Body, counter: int, key: Any, scale: Any, rows: Any) -> None:
+    """Normals of rms ``scale`` (float32) into four rows (n,) float32; from a kernel or Python.
+
+    Element j of each row comes from counter ``counter + j``; ``key`` is two words.  n is a
+    multiple of 64 and counters are taken in groups that do not cross a multiple of 2^32.
+    """
+    _rows_plain(counter, key, scale, rows)
+
+
+@overload(gaussian_rows, strict=False, inline="always")
+def _gaussian_rows(body: Any, counter: Any, key: Any, scale: Any, rows: Any) -> Any:
+    if body.instance_class is Avx512:
+        return lambda body, counter, key, scale, rows: _rows_avx512(counter, key, scale, rows)
+    if body.instance_class is Avx2:
+        return lambda body, counter, key, scale, rows: _rows_avx2(counter, key, scale, rows)
+    return lambda body, counter, key, scale, rows: _rows_plain(counter, key, scale, rows)
+
+
 @kernel
-def complex_gaussian_cell(key: np.ndarray, cell: int, i: np.ndarray, q: np.ndarray) -> None:
-    """Unit normals of samples cell * CELL ... + CELL - 1 into float32 ``i`` and ``q`` (CELL,)."""
+def _rows_avx512(counter: int, key: Any, scale: Any, rows: Any) -> None:
+    words = counter & 0xFFFFFFFF, counter >> 32
+    for j in range(0, rows[0].shape[0], 64):
+        rows_64(words, key, scale, rows, j)
+
+
+@kernel
+def _rows_avx2(counter: int, key: Any, scale: Any, rows: Any) -> None:
+    words = counter & 0xFFFFFFFF, counter >> 32
+    for j in range(0, rows[0].shape[0], 16):
+        rows_16(words, key, scale, rows, j)
+
+
+@kernel
+def _rows_plain(counter: int, key: Any, scale: Any, rows: Any) -> None:
     k0, k1 = np.uint64(key[0]), np.uint64(key[1])
-    half = i.shape[0] // 2
-    first = np.uint64(cell) * np.uint64(CELL // 2)
-    high = first >> _32
-    i0, q0, i1, q1 = i[:half], q[:half], i[half:], q[half:]
-    for j in range(half):
-        # the lower 9 bits of `first` are zero: no carry into `high`
-        w0, w1, w2, w3 = philox((first + np.uint64(j)) & _LOW, high, 0, 0, k0, k1)
-        i0[j], q0[j] = _box_muller(w0, w1)
-        i1[j], q1[j] = _box_muller(w2, w3)
+    first = np.uint64(counter)
+    high, first = first >> _32, first & _LOW
+    a, b, c, d = rows
+    for j in range(a.shape[0]):
+        w0, w1, w2, w3 = philox(first + np.uint64(j), high, 0, 0, k0, k1)
+        a[j], b[j] = _box_muller(w0, w1, scale)
+        c[j], d[j] = _box_muller(w2, w3, scale)
 
 
 @kernel
-def complex_gaussian(key: np.ndarray, n0: int, out: np.ndarray) -> None:
+def complex_gaussian_cell(body: Body, key: Any, cell: int, i: np.ndarray, q: np.ndarray) -> None:
+    """Unit normals of samples cell * CELL ... + CELL - 1 into float32 ``i`` and ``q`` (CELL,).
+
+    Sample j < CELL / 2 is words 0 and 1 of counter cell * CELL / 2 + j, the sample half a cell
+    later words 2 and 3.
+    """
+    half = CELL // 2
+    words = np.int64(key[0]), np.int64(key[1])
+    gaussian_rows(body, cell * half, words, _F(1.0), (i[:half], q[:half], i[half:], q[half:]))
+
+
+@kernel
+def complex_gaussian(body: Body, key: np.ndarray, n0: int, out: np.ndarray) -> None:
     """Unit complex normals of samples n0 ... n0 + n - 1 into ``out`` (n, 2) float32: I, Q.
 
-    ``key`` is (2,) uint32 (`stream_key`); I and Q have variance 1 each.
+    ``key`` is (2,) uint32 (`stream_key`); I and Q have variance 1 each.  The bits depend neither
+    on n0 and n nor on the ``body``.
     """
     i, q = np.empty(CELL, np.float32), np.empty(CELL, np.float32)
-    n1 = n0 + out.shape[0]
+    n1, flat = n0 + out.shape[0], out.reshape(-1)
     for cell in range(n0 // CELL, (n1 + CELL - 1) // CELL):
-        complex_gaussian_cell(key, cell, i, q)
+        complex_gaussian_cell(body, key, cell, i, q)
         start = cell * CELL
-        for n in range(max(n0, start), min(n1, start + CELL)):
-            out[n - n0, 0] = i[n - start]
-            out[n - n0, 1] = q[n - start]
+        a, b = max(n0, start), min(n1, start + CELL)
+        interleave(i[a - start : b - start], q[a - start : b - start], flat[2 * (a - n0) :])
+
+
+@kernel
+def interleave(i: np.ndarray, q: np.ndarray, out: np.ndarray) -> None:
+    """I, Q, I, Q ... into the first elements of ``out``."""
+    for k in range(i.shape[0]):
+        out[2 * k] = i[k]
+        out[2 * k + 1] = q[k]
 
 
 @kernel

@@ -12,11 +12,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from signals.compiled import FAST_SUM, kernel
-from signals.elementary import TURN, cos_sin, wrap
-
-STRIDE = 64
-"""Samples that share a coarse carrier phasor: two short tables replace a sine per sample"""
+from signals.compiled import kernel
+from signals.elementary import TURN
 
 LONGEST_CELL = 2048
 """Most samples that may be looked up from one start, at no more than one chip per sample"""
@@ -75,51 +72,7 @@ def index_delays(waveforms: Replicas, offset_chips: np.ndarray) -> np.ndarray:
     return np.rint((sub_chips % waveforms.length[:, None]) * TURN).astype(np.int64)
 
 
-def replica_table(chips: np.ndarray) -> np.ndarray:
-    """Two code periods and a chip (n_channel, 2 length + 1) float32: no wrap inside a cell."""
-    return np.ascontiguousarray(np.hstack([chips, chips, chips[:, :1]]), np.float32)
-
-
 # ---- kernels ---------------------------------------------------------------------------------
-
-
-@kernel
-def carrier_steps(start: float, middle: float, end: float, n: int) -> tuple[Any, Any, Any]:
-    """Fixed-point phase and step [2^-32 cycles] (int32) over n samples, and the bend (float32).
-
-    From the phases [cycles] at samples 0, n / 2 and n; for `carrier_phasors`.
-    """
-    base = np.int64((start - math.floor(start)) * TURN)
-    step = np.int64(np.rint((end - start) / n * TURN))
-    bend = 4.0 * TURN * (middle - 0.5 * (start + end)) / (float(n) * float(n))
-    return wrap(base), wrap(step), np.float32(bend)
-
-
-@kernel(fastmath=FAST_SUM)
-def carrier_phasors(
-    base: Any, step: Any, bend: Any, n: int, coarse: np.ndarray, fine: np.ndarray
-) -> None:
-    """Carrier of n samples as products: sample STRIDE m + k is coarse[:, m] x fine[:, k].
-
-    ``coarse`` (2, >= n / STRIDE) and ``fine`` (2, STRIDE) are float32, rows cos and sin.  The
-    phase is chord + bend j (n - j), j the middle of the stride: at 10 g and 4 MHz the rest is
-    below 6e-7 cycles, of zero mean.
-    """
-    last = np.float32(n)
-    for m in range((n + STRIDE - 1) // STRIDE):
-        j = np.float32(np.int32(STRIDE * m + STRIDE // 2))
-        chord = np.int64(base) + np.int64(np.int32(STRIDE * m)) * np.int64(step)
-        phase = wrap(chord + np.int64(np.int32(bend * j * (last - j))))
-        coarse[0, m], coarse[1, m] = cos_sin(phase)
-    for k in range(STRIDE):
-        fine[0, k], fine[1, k] = cos_sin(wrap(np.int64(np.int32(k)) * np.int64(step)))
-
-
-@kernel
-def code_steps(start: float, per_sample: float, length: int) -> tuple[Any, Any]:
-    """Fixed-point code phase modulo ``length`` and its step per sample [chips 2^32]."""
-    base = np.uint64((start - math.floor(start / length) * length) * TURN)
-    return base, np.uint64(np.rint(per_sample * TURN))
 
 
 @kernel

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from signals.elementary import TURN, cos_sin, log, wrap
+from signals.cpu import available
+from signals.elementary import TURN, cos_sin, fixed, log, sine_of_turns, wrap
 from signals.noise import (
     CELL,
     _box_muller,
@@ -14,6 +15,9 @@ from signals.noise import (
     philox,
     stream_key,
 )
+from signals.vectors import Body, Portable, body
+
+PATHS = available()
 
 # Random123 1.14, tests/kat_vectors, philox4x32 10 rounds: counter, key -> words
 KNOWN = [
@@ -27,9 +31,9 @@ KNOWN = [
 ]
 
 
-def gaussian(key: np.ndarray, n0: int, n: int) -> np.ndarray:
+def gaussian(key: np.ndarray, n0: int, n: int, on: Body | None = None) -> np.ndarray:
     out = np.empty((n, 2), np.float32)
-    complex_gaussian(key, n0, out)
+    complex_gaussian(Portable() if on is None else on, key, n0, out)
     return out
 
 
@@ -47,6 +51,10 @@ def test_elementary_functions_against_float64():
     np.testing.assert_allclose(out[:, 1], np.sin(angle), atol=2e-7)
     u = np.concatenate([np.geomspace(2.0**-33, 1.0, 20_000), [0.9999999]]).astype(np.float32)
     np.testing.assert_allclose([log(x) for x in u], np.log(u.astype(float)), rtol=3e-7, atol=1e-12)
+    turns = np.random.default_rng(2).uniform(-20.0, 20.0, 5_000)
+    sine = [sine_of_turns(t) for t in turns]
+    np.testing.assert_allclose(sine, np.sin(2 * np.pi * turns), atol=1e-9)
+    assert [fixed(t) for t in turns[:50]] == [round(t * 2**32) for t in turns[:50]]
 
 
 @pytest.mark.nojit
@@ -72,9 +80,32 @@ def test_samples_follow_box_muller_of_their_own_words():
             np.testing.assert_allclose(out[sample], [z.real, z.imag], rtol=2e-6, atol=2e-6)
 
 
+@pytest.mark.parametrize("path", PATHS)
+def test_every_path_has_the_same_bits(path):
+    """The plain twin is the definition; cells from the first to a counter of more than 32 bits."""
+    key = stream_key(23, "thermal")
+    for n0 in (0, 700 * CELL, 2**33 - 2 * CELL, 5 * 2**40):
+        expected = gaussian(key, n0, 4 * CELL).view(np.uint32)
+        np.testing.assert_array_equal(
+            gaussian(key, n0, 4 * CELL, body(path)).view(np.uint32), expected
+        )
+
+
+def test_tails_are_met_beyond_6_sigma():
+    """P(|z| > r) = exp(-r^2 / 2) of a complex normal: Rayleigh."""
+    key, n = stream_key(2, "thermal"), 2**20
+    levels, found = np.array([4.5, 5.0, 5.5, 6.0]), np.zeros(4)
+    for block in range(100):
+        z2 = (gaussian(key, block * n, n, body(PATHS[0])) ** 2).sum(axis=1)
+        found += [np.count_nonzero(z2 > r**2) for r in levels]
+    expected = 100 * n * np.exp(-(levels**2) / 2)
+    assert np.all(np.abs(found - expected) < 4 * np.sqrt(expected))
+    assert found[-1] >= 1
+
+
 def test_moments_tails_and_distribution():
     n = 4_000_000
-    x = gaussian(stream_key(11, "thermal"), 12_345, n).astype(float)
+    x = gaussian(stream_key(11, "thermal"), 12_345, n, body(PATHS[0])).astype(float)
     assert np.all(np.abs(x.mean(0)) < 4 / np.sqrt(n))
     assert np.all(np.abs(x.var(0) - 1) < 4 * np.sqrt(2 / n))
     assert abs(np.mean(x[:, 0] * x[:, 1])) < 4 / np.sqrt(n)
@@ -82,6 +113,7 @@ def test_moments_tails_and_distribution():
     assert np.all(np.abs((x**3).mean(0)) < 4 * np.sqrt(15 / n))
     for lag in (1, 2, 511, 512, 513, 1024):  # partners of one counter are 512 apart
         assert np.all(np.abs((x[:-lag] * x[lag:]).mean(0)) < 4 / np.sqrt(n - lag))
+        assert abs(np.mean(x[:-lag, 0] * x[lag:, 1])) < 4 / np.sqrt(n - lag)
         r2 = (x**2).sum(1) - 2.0  # variance 4
         assert abs(np.mean(r2[:-lag] * r2[lag:])) < 4 * 4 / np.sqrt(n - lag)
     for level in (3.0, 4.0, 4.8):
@@ -95,7 +127,8 @@ def test_moments_tails_and_distribution():
 def test_tails_reach_beyond_a_24_bit_uniform():
     """u = (word + 1/2) / 2^32: the word 0 gives sqrt(-2 ln 2^-33) = 6.7637; 24 bits end at 5.9."""
     words = np.array([0, 1, 255, 2**31, 2**32 - 1], np.uint64)
-    radius = np.array([_box_muller(w, np.uint64(0))[0] for w in words])
+    one = np.float32(1.0)
+    radius = np.array([_box_muller(w, np.uint64(0), one)[0] for w in words])
     expected = np.sqrt(-2 * np.log((words.astype(float) + 0.5) / 2**32))
     np.testing.assert_allclose(radius, expected, rtol=1e-6, atol=4e-4)  # log of 1 - 2^-24 steps
     assert radius[0] == pytest.approx(6.7637, abs=1e-4)
