@@ -106,17 +106,20 @@ def _carrier(line: Any, dt: float) -> float:
     return line[2] + dt * (line[3] + 0.5 * line[4] * dt)
 
 
-@kernel
-def _phases(line: Any, dt: float, n: int, start: int, fs: float, if_hz: float) -> Any:
+@borrowing
+def _phases(line: Any, dt: float, n: int, start: int, sample_s: float, ratio: float) -> Any:
     """Base, step and bend of carrier and intermediate frequency over n samples from dt.
 
-    A parabola is its chord less rate / 2 (n / fs)^2 / 4 at the middle.
+    A parabola is its chord less rate / 2 (n sample_s)^2 / 4 at the middle.
     """
-    ratio = if_hz / fs
     phase = _carrier(line, dt) + start * ratio
-    per_sample = (line[3] + line[4] * (dt + 0.5 * n / fs)) / fs + ratio
+    per_sample = (line[3] + line[4] * (dt + 0.5 * n * sample_s)) * sample_s + ratio
     base = np.int64((phase - math.floor(phase)) * _CYCLE)
-    return base, np.int64(np.rint(per_sample * _CYCLE)), -0.5 * line[4] / (fs * fs) * _TURN
+    return (
+        base,
+        np.int64(np.rint(per_sample * _CYCLE)),
+        -0.5 * _TURN * line[4] * sample_s * sample_s,
+    )
 
 
 @borrowing
@@ -144,7 +147,7 @@ def plan(
     return n_cell
 
 
-@kernel
+@borrowing
 def _under_way(x: float, dump: int, chips_per_sample: float) -> tuple[int, bool]:
     """Number of the integration at code phase x, and whether x is its first sample."""
     tolerance = GUARD_SAMPLES * chips_per_sample
@@ -158,6 +161,7 @@ def _channel(
     rows: Rows, work: Work,
 ) -> None:  # fmt: skip
     """Parts of a channel, and the integrations that end."""
+    sample_s, ratio = 1.0 / fs, if_hz / fs
     t_s, code, chip_rate, cycles, freq, rate, dumps, _ = nco
     cells, _, whole, real = work
     position, dump = state.position[channel], dumps[channel]
@@ -172,16 +176,18 @@ def _channel(
             cycles[p, channel], freq[p, channel], rate[p, channel],
         )  # fmt: skip
         dt = start / fs - t_s[p]
-        x, slope = _code(line, dt), line[1] / fs
+        x, slope = _code(line, dt), line[1] * sample_s
         if not (known and abs(x - (number + 0.5) * dump) <= dump):
             known = True
             number, is_open = _under_way(x, dump, slope)
             slot, since, begun = slot + 1, start, (x, _carrier(line, dt))
-        base, step, bend = _phases(line, dt, n, start, fs, if_hz)
+        base, step, bend = _phases(line, dt, n, start, sample_s, ratio)
         a = 0
         while a < n:
             # first sample at or past the end of the integration under way
-            bound = max(a, math.ceil(((number + 1) * dump - x) / slope - GUARD_SAMPLES))
+            to_go, bound = (number + 1) * dump - x, n + 1
+            if to_go < slope * bound:  # most cells have none: no division there
+                bound = max(a, math.ceil(to_go / slope - GUARD_SAMPLES))
             b = min(bound, n)
             if is_open and b > a:
                 whole[channel, part, CELL], whole[channel, part, SLOT] = cell, slot
