@@ -12,15 +12,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from signals.sample_formats import VALUES_PER_BYTE, FileFormat, decode, file_format
 
-SampleFormat = Literal["int8", "float32"]
 _MEASURED_BLOCKS, _MEASURED_SAMPLES = 64, 16_384
-_COMPLEX_OF = {"int8": "ci8", "int16": "ci16", "float32": "cf32"}
 
 
 class IfSource(Protocol):
@@ -99,7 +97,7 @@ class Recording:
             self._stored, n = source.reshape(-1), len(source)
         else:
             self._name = str(source)
-            self.format = file_format(_COMPLEX_OF.get(sample_format, sample_format))
+            self.format = file_format(sample_format)
             self._stored, n = _map_file(Path(source), self.format, n_samples)
         if self.format.real and (swap_iq or conjugate):
             raise ValueError("swap_iq, conjugate: real samples have no Q to swap or negate")

@@ -32,7 +32,7 @@ from signals.sample_formats import VALUES_PER_BYTE, FileFormat, encode, file_for
 from signals.sigmf_files import Description, paths, write_description
 from ultratight import sky
 from ultratight.config import InvalidInput
-from ultratight.if_source import blocks, noise_rms, tap_sigma
+from ultratight.if_source import blocks, if_source
 from ultratight.if_truth import ROW_S, TruthFile, TruthRows
 from ultratight.ins.earth import geodetic_from_ecef
 from ultratight.provenance import provenance
@@ -154,7 +154,8 @@ class Plan(NamedTuple):
 
     world: FileWorld
     form: FileFormat
-    rms: float
+    rms: float | None
+    sigma: float
     n_samples: int
     duration_s: float
     samples: Path
@@ -193,14 +194,10 @@ def plan(
     for path in (data, meta, truth):
         check_writable(path, (path.suffix,))
     f = scenario.front_end
-    if kind.real and not 0.0 < f.if_hz < f.sample_rate_hz / 2.0:
-        raise InvalidInput(
-            f"front_end.if_hz: {f.if_hz:g} given, expected more than 0 and less than half the "
-            f"sample rate ({f.sample_rate_hz / 2.0:g}): samples of {form} are real"
-        )
     world = FileWorld(scenario, seed)
+    first = if_source(world, world.signal_between(0, 1), kind, rms)  # refuses what cannot be
     n = round(duration_s * f.sample_rate_hz)
-    made = Plan(world, kind, noise_rms(kind, rms), n, duration_s, data, meta, truth)
+    made = Plan(world, kind, rms, first.sigma, n, duration_s, data, meta, truth)
     truth_bytes = _n_row(made) * (8 * len(world.prn) * 6 + 100)
     need = kind.n_bytes(n) + truth_bytes + _SPARE_BYTES
     free = shutil.disk_usage(data.parent).free
@@ -252,7 +249,8 @@ def _write(p: Plan, data: Path, truth: Path, progress: Callable[[float], None] |
         rows.write_bits(*p.world.symbols)
         for state, first_node in _windows(p):
             rows.write(_rows(p.world, state, first_node))
-            for block in _blocks(p, state):
+            source = if_source(p.world, state, p.form, p.rms)
+            for block in blocks(source, p.n_samples):
                 samples.write(block)
                 if progress is not None:
                     progress(samples.n_samples / p.n_samples)
@@ -271,11 +269,6 @@ def _windows(p: Plan) -> Iterator[tuple[SignalState, int]]:
     for first in range(0, end, _NODES_PER_WINDOW):
         up = w.look_all(w.t_s[first : first + 1])[0][0] >= math.radians(w.scenario.mask_deg)
         yield w.signal_between(first, min(first + _NODES_PER_WINDOW, end), up), first
-
-
-def _blocks(p: Plan, state: SignalState) -> Iterator[np.ndarray]:
-    w, f = p.world, p.world.scenario.front_end
-    return blocks(state, w.chips, f.sample_rate_hz, w.seed, f.if_hz, p.form, p.rms, p.n_samples)
 
 
 def _rows(w: FileWorld, state: SignalState, first_node: int) -> TruthRows:
@@ -332,7 +325,7 @@ def _description(p: Plan, sha512: str) -> Description:
         sample_rate_hz=f.sample_rate_hz,
         if_hz=f.if_hz,
         n_samples=p.n_samples,
-        sigma=tap_sigma(p.form, p.rms),
+        sigma=p.sigma,
         start_week=w.scenario.start_week,
         start_tow_s=w.scenario.start_tow_s,
         text=f"Simulated GPS L1 C/A of {names}; {w.scenario.title}",
