@@ -183,11 +183,14 @@ def _remember(
     """
     m = rows.size
     for a in range(m):
-        for b in range(m):
-            i, j = rows[a], rows[b]
-            V[a, b] = nu[a] * nu[b]
+        i = rows[a]
+        for b in range(a + 1):
+            j = rows[b]
+            fresh = nu[a] * nu[b]
             if seen[i] and seen[j]:
-                V[a, b] = (rho * V0[i, j] + V[a, b]) / (1.0 + rho)
+                fresh = (rho * V0[i, j] + fresh) / (1.0 + rho)
+            V[a, b] = fresh
+            V[b, a] = fresh
     for a in range(m):  # a channel present twice in an epoch leaves its later block
         for b in range(m):
             V0[rows[a], rows[b]] = V[a, b]
