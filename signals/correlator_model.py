@@ -113,19 +113,17 @@ class ModelCorrelator:
         key0, key1 = stream_key(seed, "correlator-noise") if noise else (0, 0)
         n_tap = self.offset_chips.size
         # few arrays: each costs a compiled call 0.1 us
-        self._whole = np.concatenate([np.zeros(4 * n_channel), *facts]).astype(np.int64)
+        numbers = [n_tap, int(state.first_symbol), int(key0), int(key1), int(noise)]
+        position = np.zeros(4 * n_channel, np.int64)
+        self._whole = np.concatenate([numbers, position, *facts], dtype=np.int64, casting="unsafe")
         self._fixed = np.concatenate([self.offset_chips, np.ravel(factor), own.table])
-        self._opened = np.zeros(1 + n_channel * (3 + 2 * n_tap))
-        self._opened[0] = math.nan
-        self._numbers = (
-            n_tap, int(state.first_symbol), int(key0), int(key1), noise,
-            0.0 if sample_rate_hz is None else 1.0 / sample_rate_hz,
-        )  # fmt: skip
+        self._opened = np.zeros(2 + n_channel * (3 + 2 * n_tap))
+        self._opened[:2] = math.nan, 0.0 if sample_rate_hz is None else 1.0 / sample_rate_hz
 
     def __call__(self, nco: Nco) -> Taps:
         """Correlate over all pieces of the command; return the integrations that ended."""
         sound, whole, real, iq = _correlate(
-            nco, self._truth, self._symbols, self._fixed, self._whole, self._opened, self._numbers
+            *nco, self._truth, self._symbols, self._fixed, self._whole, self._opened
         )
         if not sound:
             raise ValueError(self._refusal(nco))
@@ -210,35 +208,38 @@ _CHIP_TOLERANCE = 1e-6  # in continuous time a code phase this little past a mul
 
 @kernel
 def _correlate(
-    nco: Nco, truth: np.ndarray, symbols: np.ndarray, fixed: np.ndarray, whole: np.ndarray,
-    opened: np.ndarray, numbers: Any,
+    t_s: np.ndarray, code: np.ndarray, chip_rate: np.ndarray, carrier: np.ndarray,
+    freq: np.ndarray, freq_rate: np.ndarray, dump_chips: np.ndarray, valid: np.ndarray,
+    truth: np.ndarray, symbols: np.ndarray, fixed: np.ndarray, whole: np.ndarray,
+    opened: np.ndarray,
 ) -> tuple[bool, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """All channels over one command -> channel and number, the other rows of `Taps`, iq.
 
     False first, and nothing done, where the command cannot be run.
     """
-    n_tap, first_symbol, key0, key1, noisy, sample_s = numbers
-    n = truth.shape[0]
-    position, facts = whole[: 4 * n].reshape((n, 4)), whole[4 * n :].reshape((6, n))
+    nco = Nco(t_s, code, chip_rate, carrier, freq, freq_rate, dump_chips, valid)
+    n, n_tap = truth.shape[0], whole[0]
+    position = whole[5 : 5 + 4 * n].reshape((n, 4))
+    facts = whole[5 + 4 * n :].reshape((6, n))
     sound, most = _most_dumps(nco, truth, facts[5])
     finished = np.empty((2, most), np.int64)
     real = np.empty((7, most))
     iq = np.empty((most, n_tap), np.complex128)
     n_dump = 0
     if sound:
-        if not abs(nco.t_s[0] - opened[0]) <= _TIME_TOLERANCE_S:
+        if not abs(t_s[0] - opened[0]) <= _TIME_TOLERANCE_S:
             position[:, _KNOWN] = 0
-        opened[0] = nco.t_s[nco.t_s.size - 1]
+        opened[0] = t_s[t_s.size - 1]
         after = n_tap + n * n_tap * n_tap
         factor = fixed[n_tap:after].reshape((n, n_tap, n_tap))
-        data = (symbols, first_symbol, facts[0])
+        data = (symbols, whole[1], facts[0])
         replicas = (fixed[:n_tap], fixed[after:], facts[1], facts[2], facts[3])
-        noise = (noisy, key0, key1, facts[4], factor)
-        start = opened[1 : 1 + 3 * n].reshape((n, 3))
-        sums = opened[1 + 3 * n :].reshape((n, 2 * n_tap))
+        noise = (whole[4] > 0, whole[2], whole[3], facts[4], factor)
+        start = opened[2 : 2 + 3 * n].reshape((n, 3))
+        sums = opened[2 + 3 * n :].reshape((n, 2 * n_tap))
         rows = (finished, real, iq, np.zeros(2 * n_tap))
         n_dump = _all_channels(
-            nco, truth, data, replicas, noise, (position, start, sums), sample_s, rows
+            nco, truth, data, replicas, noise, (position, start, sums), opened[1], rows
         )
     return sound, finished[:, :n_dump], real[:, :n_dump], iq[:n_dump]
 

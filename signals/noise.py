@@ -171,19 +171,23 @@ def normals(key0: int, key1: int, c0: int, c1: int, c2: int, c3_base: int, out: 
     2^32.
     """
     n = out.shape[0]
-    for block in range((n + 3) // 4):
-        words = philox(
+    for m in range(0, n, 4):
+        w0, w1, w2, w3 = philox(
             np.uint64(c0) & _LOW,
             np.uint64(c1) & _LOW,
             np.uint64(c2) & _LOW,
-            np.uint64(c3_base + block) & _LOW,
+            np.uint64(c3_base + m // 4) & _LOW,
             key0,
             key1,
         )
-        for pair in range(2):
-            m = 4 * block + 2 * pair
-            if m < n:
-                x, y = normal_pair(words[2 * pair], words[2 * pair + 1])
-                out[m] = x
-                if m + 1 < n:
-                    out[m + 1] = y
+        _put(out, m, w0, w1)
+        if m + 2 < n:
+            _put(out, m + 2, w2, w3)
+
+
+@kernel(inline="always")
+def _put(out: np.ndarray, m: int, word0: Any, word1: Any) -> None:
+    x, y = normal_pair(word0, word1)
+    out[m] = x
+    if m + 1 < out.shape[0]:
+        out[m + 1] = y
