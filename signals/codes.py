@@ -27,7 +27,7 @@ from signals.generators import (
     shared_code,
 )
 from signals.memory_codes import read_memory_codes
-from signals.modulation import bpsk
+from signals.modulation import Modulation, bpsk
 from signals.signal_row import Signal
 
 # -- GPS -----------------------------------------------------------------------------------------
@@ -238,6 +238,14 @@ SIGNALS = {
     )
 }  # fmt: skip
 """Signals whose codes can be generated, by label; for E1B and E1C see `galileo_e1`"""
+LABELS = (*SIGNALS, "E1B", "E1C")
+PILOTS = frozenset(row.label for row in SIGNALS.values() if row.pilot) | {"E1C"}
+
+
+def modulation_of(label: str) -> Modulation:
+    """Modulation of a label; for E1B and E1C without the file of their codes."""
+    cboc = {"E1B": modulation.CBOC_PLUS, "E1C": modulation.CBOC_MINUS}
+    return cboc[label] if label in cboc else SIGNALS[label].modulation
 
 
 def signal(label: str, memory_codes: str | Path | None = None) -> Signal:
@@ -251,8 +259,7 @@ def signal(label: str, memory_codes: str | Path | None = None) -> Signal:
     if label in SIGNALS:
         return SIGNALS[label]
     if label not in ("E1B", "E1C"):
-        known = ", ".join([*SIGNALS, "E1B", "E1C"])
-        raise ValueError(f"signal {label!r}: expected one of {known}")
+        raise ValueError(f"signal {label!r}: expected one of {', '.join(LABELS)}")
     if memory_codes is None:
-        raise ValueError(f"signal {label}: memory codes not given, expected the file that has them")
+        raise ValueError(f"{label}: no memory codes given, expected a file that has them")
     return galileo_e1(memory_codes)[label == "E1C"]

@@ -66,6 +66,17 @@ class Modulation:
         lags = self.shares @ np.array([np.correlate(p, p, "full") / m for p in steps])
         return np.interp(delay_chips, np.arange(-m, m + 1) / m, np.pad(lags, 1))
 
+    def early_late_slope(self, spacing_chips: float) -> float:
+        """Growth of late minus early with the delay of the signal, half of it, per chip.
+
+        The mean over +-1/48 chip for taps ``spacing_chips`` on each side of the prompt.  BPSK: 1.
+        BOC(1,1): 3 below half a chip, then -1: the code would be driven to a side peak.  BOC(6,1)
+        parts make it rise and fall every 1/12 chip.
+        """
+        h = min(1.0 / 48.0, spacing_chips)
+        early, late = self.correlation(np.array([spacing_chips - h, spacing_chips + h]))
+        return float((early - late) / (2.0 * h))
+
     def psd(self, f_hz: np.ndarray, chip_rate_hz: float) -> np.ndarray:
         """S(f) [1/Hz] of unit power, at offsets from the carrier of any shape [Hz]."""
         f = np.asarray(f_hz, dtype=np.float64)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from signals.constants import CA_CHIP_RATE_HZ
 from ultratight import config
@@ -12,6 +12,8 @@ from ultratight import config
 if TYPE_CHECKING:
     from ultratight.scenario import Scenario
 
+Label = Literal["L1CA", "L1CD", "L1CP", "L2CM", "L2CL", "L5I", "L5Q", "E5AI", "E5AQ", "E1B", "E1C"]
+"""Signals of the satellites that there are orbits for, see `signals.codes`"""
 Found = list[tuple[tuple[str, ...], str]]
 """Keys concerned, and the line that says what is wrong"""
 ROW_S = 0.02
@@ -66,11 +68,11 @@ def contradictions(s: Scenario) -> Found:
             'kind = "model": samples hold the other satellites themselves',
         )
     coherent = tight and receiver.measurement == "coherent"
-    if coherent and not receiver.knows.data_bits:
+    if coherent and not receiver.knows.data_bits and not _all_pilots(s):
         refuse(
             "receiver.measurement receiver.knows.data_bits",
             '"coherent" without receiver.knows.data_bits',
-            'data_bits = true, or "differential"',
+            'data_bits = true, "differential", or signals that are pilots',
         )
     if s.jump_window_s and not s.jump_window_s[0] < s.jump_window_s[1] <= s.duration_s:
         refuse(
@@ -83,7 +85,64 @@ def contradictions(s: Scenario) -> Found:
         refuse("trajectory profile", config.show(s.trajectory), "no profile beside it: profile=[]")
     if s.prns is not None and len(set(s.prns)) < len(s.prns):
         refuse("prns", config.show(s.prns), "each satellite once")
-    return found + _unknown_names(s) + _loop_contradictions(s) + _profile_contradictions(s)
+    parts = (_unknown_names, _signal_contradictions, _loop_contradictions, _profile_contradictions)
+    return found + [line for part in parts for line in part(s)]
+
+
+def _all_pilots(s: Scenario) -> bool:
+    from signals.codes import PILOTS
+
+    return bool(s.signals) and set(s.signals) <= PILOTS
+
+
+def _signal_contradictions(s: Scenario) -> Found:
+    """What cannot be done with these signals."""
+    found: Found = []
+
+    def refuse(keys: str, given: str, expected: str) -> None:
+        names = tuple(keys.split())
+        found.append((names, f"{names[0]}: {given} given, expected {expected}"))
+
+    labels, sky = s.signals, s.constellation
+    shown = ", ".join(labels)
+    if not labels:
+        refuse("signals", "nothing", "at least one signal")
+    if len(set(labels)) < len(labels):
+        refuse("signals", shown, "each signal once")
+    foreign = [x for x in labels if x.startswith("E") != (sky == "galileo-24")]
+    if foreign:
+        system = "Galileo" if sky == "galileo-24" else "GPS"
+        refuse("signals constellation", ", ".join(foreign), f'signals of {system} with "{sky}"')
+    if {"E1B", "E1C"} & set(labels) and s.galileo_codes is None:
+        refuse("galileo_codes signals", "nothing", "the file of the memory codes of E1B and E1C")
+    if labels in ((), ("L1CA",)):
+        return found
+    from signals.codes import modulation_of
+
+    for key, given, expected in (
+        ("receiver.closure", s.receiver.closure, "ultra-tight"),
+        ("correlator.kind", s.correlator.kind, "model"),
+    ):
+        if given != expected:
+            refuse(
+                f"{key} signals", f'"{given}" with signals {shown}', f'"{expected}", or L1CA alone'
+            )
+    if s.data_bits == "lnav" and not _all_pilots(s):
+        refuse(
+            "data_bits signals", f'"lnav" with signals {shown}', '"random": LNAV is that of L1CA'
+        )
+    if s.correlator.multiple_access:
+        refuse("correlator.multiple_access signals", f"true with signals {shown}", "L1CA alone")
+    spacing = s.correlator.spacing_chips
+    for label in labels:
+        if modulation_of(label).early_late_slope(spacing) < 1.0 - 1e-9:
+            refuse(
+                "correlator.spacing_chips signals",
+                f"{spacing:g} with {label}",
+                "a spacing at which late minus early grows with the delay by 1 per chip or more "
+                "(BOC: less than 0.5; TMBOC and CBOC also not near 0.125 and 0.3)",
+            )
+    return found
 
 
 def _loop_contradictions(s: Scenario) -> Found:

@@ -103,6 +103,10 @@ class FileWorld(World):
 
     def _choose_satellites(self) -> None:
         s = self.scenario
+        if s.signals != ("L1CA",):
+            raise InvalidInput(
+                f"signals: {', '.join(s.signals)} given, expected L1CA: files hold no other yet"
+            )
         self.sky = sky.constellation(s)
         t = np.unique(np.append(np.arange(0.0, s.duration_s, _LOOK_S), s.duration_s))
         seen = {p: self._highest(p, t) for p in self.sky.prn.tolist() if _wanted(s, p)}
@@ -116,7 +120,7 @@ class FileWorld(World):
         self.prn = np.array(sorted(order))
         self._check_ages()
         prn, rows = self.sky.select(s.start_week, s.start_tow_s)
-        self.elements = np.ascontiguousarray(rows[np.searchsorted(prn, self.prn)])
+        self._name_channels(self.prn, rows[np.searchsorted(prn, self.prn)])
 
     def _highest(self, prn: int, t_s: np.ndarray) -> float:
         """Highest elevation [deg] at those of the times at which the set of the start serves."""

@@ -12,7 +12,11 @@ from numba.core import config as numba_config
 from signals import cpu
 from ultratight.scenario import Scenario
 
-_FILES = {"constellation": "navigation_sha256", "trajectory": "trajectory_sha256"}
+_FILES = {
+    "constellation": "navigation_sha256",
+    "trajectory": "trajectory_sha256",
+    "galileo_codes": "galileo_codes_sha256",
+}
 
 
 def provenance(scenario: Scenario, seed: int) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from pydantic import Field, ValidationError, ValidationInfo, model_validator
 
 from ultratight import config, consistency
 from ultratight.config import InvalidInput, Unsupported
-from ultratight.consistency import SPEED_LIMIT_MPS
+from ultratight.consistency import SPEED_LIMIT_MPS, Label
 from ultratight.tables import Atmosphere, Channel, Dbhz, Imu, NotNegative, Positive, Table
 
 __all__ = [
@@ -36,7 +36,7 @@ TurnRate = Annotated[float, Field(ge=-360.0, le=360.0)]
 
 PRESETS = ("jump-1", "jump-2", "jump-3", "jump-4", "uniform", "accelerated", "static")
 """Scenarios that ship, as ``ultratight/presets/NAME.toml``"""
-CONSTELLATIONS = ("embedded", "nominal-24")
+CONSTELLATIONS = ("embedded", "nominal-24", "galileo-24")
 """Skies that need no file"""
 _KEYS_ONLY = "keys only"
 """Validation context: leave out the rules between keys"""
@@ -86,7 +86,7 @@ class Correlator(Table):
     kind: Literal["model", "samples"] = "model"
     """model: closed form with the same mean and covariance"""
     spacing_chips: Annotated[float, Field(gt=0.0, le=1.0)] = 0.25
-    """Early and late replica: distance from the prompt one"""
+    """Early and late replica: distance from the prompt one; BOC has side peaks at 1/2 chip"""
     multiple_access: bool = False
     """Closed form only: add the noise that the other satellites' codes make"""
 
@@ -173,9 +173,13 @@ class Scenario(Table):
     mask_deg: Annotated[float, Field(ge=-5.0, lt=90.0)] = 10.0
     """Satellites below at the start are left out"""
     cn0_dbhz: Dbhz = 35.0
-    """Of every satellite"""
+    """Of every satellite and signal: the power of that component alone"""
+    signals: tuple[Label, ...] = ("L1CA",)
+    """Every satellite sends each of them"""
+    galileo_codes: Annotated[str, Field(min_length=1)] | None = None
+    """File of the E1 memory codes (CSV: prn, signal, 1023 hexadecimal digits), for E1B and E1C"""
     constellation: Annotated[str, Field(min_length=1)] = "embedded"
-    """"embedded" (GPS, 2021-03-19), "nominal-24" or a RINEX navigation file"""
+    """"embedded" (GPS, 2021-03-19), "nominal-24", "galileo-24" or a RINEX navigation file (GPS)"""
     max_satellites: Annotated[int, Field(ge=1, le=210)] | None = None
     """The highest ones are kept"""
     prns: tuple[Prn, ...] | None = None
@@ -313,7 +317,8 @@ def load(name_or_path: str | Path, overrides: Mapping[str, Any] | Iterable[str] 
     source = "" if str(name_or_path) in PRESETS else str(name_or_path)
     scenario = Scenario.from_dict(tree, source)
     expected = {
-        "constellation": '"embedded", "nominal-24" or a RINEX navigation file',
+        "constellation": '"embedded", "nominal-24", "galileo-24" or a RINEX navigation file',
+        "galileo_codes": "a file of the E1 memory codes (CSV)",
         "trajectory": "a trajectory file (CSV)",
     }
     lines = [
@@ -328,7 +333,7 @@ def load(name_or_path: str | Path, overrides: Mapping[str, Any] | Iterable[str] 
 
 def _files(tree: Mapping[str, Any]) -> dict[str, str]:
     """What the keys that name files hold, where they do."""
-    named = {key: tree.get(key) for key in ("constellation", "trajectory")}
+    named = {key: tree.get(key) for key in ("constellation", "trajectory", "galileo_codes")}
     return {
         key: name
         for key, name in named.items()

@@ -14,17 +14,19 @@ import numpy as np
 
 from signals import satellites
 from signals.atmosphere import ionosphere_delay_m, troposphere_delay_m
-from signals.code_start import symbol_span
-from signals.codes import GPS_L1CA
-from signals.constants import C_MPS, CA_CHIP_RATE_HZ, GPS_L1_HZ, OMEGA_EARTH
+from signals.code_start import nominal, symbol_span
+from signals.constants import C_MPS, GPS_L1_HZ, OMEGA_EARTH
 from signals.navigation_message import lnav_bits
 from signals.noise import generator
 from signals.nominal import nominal_24
 from signals.propagation import SignalState, elevation_azimuth
 from signals.rinex import read_navigation
 from signals.satellites import TOE, Constellation
+from signals.signal_row import Signal
+from signals.walker import galileo_24
 from ultratight.ins.earth import geodetic_from_ecef
 from ultratight.scenario import InvalidInput, Scenario
+from ultratight.tracking.channels import Channels
 
 _TYPICAL_LIGHT_TIME_S = 0.075
 
@@ -42,6 +44,8 @@ def constellation(s: Scenario) -> Constellation:
             sky = satellites.embedded()
         elif s.constellation == "nominal-24":
             sky = nominal_24(s.start_week, s.start_tow_s)
+        elif s.constellation == "galileo-24":
+            sky = galileo_24(s.start_week, s.start_tow_s)
         else:
             sky = read_navigation(Path(s.constellation))
         sky.select(s.start_week, s.start_tow_s)  # refuses a time without any
@@ -52,7 +56,7 @@ def constellation(s: Scenario) -> Constellation:
 
 def other_sky(s: Scenario) -> str:
     """What to do about the sky of one day."""
-    if s.constellation == "nominal-24":
+    if s.constellation in ("nominal-24", "galileo-24"):
         return ""
     return '; for other places and dates: constellation = "nominal-24", or --nav FILE'
 
@@ -88,35 +92,53 @@ def look(
     return elevation_azimuth(r_antenna, (r - r_antenna) / distance[:, None])
 
 
-def data_bits(
-    s: Scenario, seed: int, sky: Constellation, prn: np.ndarray, t_s: np.ndarray
+def symbols(
+    s: Scenario,
+    seed: int,
+    sky: Constellation,
+    signals: list[Signal],
+    prn: np.ndarray,
+    facts: Channels,
+    t_s: np.ndarray,
 ) -> tuple[int, np.ndarray]:
-    """Number of the first data bit, and the bits (n_channel, n_bit) that any channel can receive.
+    """Number of the first symbol, and the symbols (n_channel, n_symbol) that can be received.
 
-    LNAV as the satellites send it, or random ones by the scenario's ``data_bits``.
+    Overlays of pilots; LNAV as the satellites send it, or random data by the scenario's
+    ``data_bits``, whatever other signals there are.
     """
-    first, n = symbol_span(s.start_tow_s, t_s)
-    if s.data_bits == "random":
-        rows = [
-            1 - 2 * generator(seed, f"data-bits.G{p:02d}").integers(0, 2, n) for p in prn.tolist()
-        ]
-    else:
-        # bit 0 is the one under way at the start, see `code_phase_origin`
-        bit_hz = GPS_L1CA.chip_rate_hz / GPS_L1CA.symbol_chips
-        sent_s = (math.floor(s.start_tow_s * bit_hz) + first) / bit_hz
-        try:
-            rows = [lnav_bits(sky, p, s.start_week, sent_s, n) for p in prn.tolist()]
-        except ValueError as error:
-            raise InvalidInput(f"data_bits: {error}") from None
-    return first, np.stack(rows).astype(np.int8)
+    first, n = symbol_span(s.start_tow_s, t_s, of=facts.nominal)
+    out = np.ones((len(signals), n), dtype=np.int8)
+    for i, (row, p) in enumerate(zip(signals, prn.tolist(), strict=True)):
+        own, count = symbol_span(s.start_tow_s, t_s, of=nominal([row]))
+        if row.pilot:
+            values = facts.pilot_symbols(i, np.arange(own, own + count))
+        elif s.data_bits == "random":
+            stream = f"data-bits.{row.channel(p).removesuffix(':L1CA')}"
+            values = 1 - 2 * generator(seed, stream).integers(0, 2, count)
+        else:
+            # bit 0 is the one under way at the start, see `code_phase_origin`
+            bit_hz = row.chip_rate_hz / row.symbol_chips
+            sent_s = (math.floor(s.start_tow_s * bit_hz) + own) / bit_hz
+            try:
+                values = lnav_bits(sky, p, s.start_week, sent_s, count)
+            except ValueError as error:
+                raise InvalidInput(f"data_bits: {error}") from None
+        out[i, own - first : own - first + count] = values
+    return first, out
 
 
 def with_atmosphere(
-    s: Scenario, sky: Constellation, prn: np.ndarray, r_antenna: np.ndarray, state: SignalState
+    s: Scenario,
+    sky: Constellation,
+    prn: np.ndarray,
+    facts: Channels,
+    r_antenna: np.ndarray,
+    state: SignalState,
 ) -> SignalState:
     """The truth with the delays of the scenario's atmosphere; r_antenna (n_node, 3) at its nodes.
 
-    The ionosphere delays the code and advances the carrier, the troposphere delays both.  Linear
+    The ionosphere delays the code and advances the carrier, by 1 / f^2 (IS-GPS-200 20.3.3.3.3.3),
+    the troposphere delays both.  Linear
     between the nodes: in 5 ms the rates change by 1e-8 m/s.
     """
     a = s.atmosphere
@@ -131,11 +153,12 @@ def with_atmosphere(
         if a.ionosphere:
             alpha, beta = sky.iono_utc.alpha, sky.iono_utc.beta
             iono = ionosphere_delay_m(lat, lon, az, el, tow_s, alpha, beta)
+            iono *= (GPS_L1_HZ / facts.carrier_hz[i]) ** 2
         if a.troposphere:
             tropo = troposphere_delay_m(lat, h, el)
         for phase, per_m, delay in (
-            (code, CA_CHIP_RATE_HZ / C_MPS, tropo + iono),
-            (carrier, GPS_L1_HZ / C_MPS, tropo - iono),
+            (code, facts.chip_rate_hz[i] / C_MPS, tropo + iono),
+            (carrier, facts.carrier_hz[i] / C_MPS, tropo - iono),
         ):
             phase[i, :, 0] -= per_m * delay[:-1]
             phase[i, :, 1] -= per_m * np.diff(delay) / np.diff(state.t_s)

@@ -36,7 +36,7 @@ class Channel(Table):
     """What the path does to the signals."""
 
     cn0_by_prn_dbhz: dict[
-        Annotated[str, Field(pattern=r"^G(0[1-9]|[1-9]\d|1\d\d|20\d|210)$")], Dbhz
+        Annotated[str, Field(pattern=r"^[GE](0[1-9]|[1-9]\d|1\d\d|20\d|210)$")], Dbhz
     ] = {}
     """Satellites that differ from ``cn0_dbhz``: {"G07": 40.0}"""
     cn0_profile_s_db: tuple[tuple[float, Annotated[float, Field(ge=-70, le=70)]], ...] = ()

@@ -13,8 +13,9 @@ import numpy as np
 
 from signals import clock
 from signals.arcs import arcs
-from signals.codes import GPS_L1CA
+from signals.codes import LABELS, signal
 from signals.constants import C_MPS
+from signals.correlations import Correlations, correlations
 from signals.correlator_model import ModelCorrelator
 from signals.front_end import Recording, SyntheticIf
 from signals.nco import Correlator
@@ -25,6 +26,7 @@ from signals.propagation import (
     predict_channels,
     signal_state,
 )
+from signals.replica import Replicas, replicas
 from ultratight import sky
 from ultratight.data_sheets import imu_errors, oscillator, process_noise
 from ultratight.ins.attitude import rotation_from_vector
@@ -32,6 +34,7 @@ from ultratight.ins.imu import ImuErrors, Increments, corrupt
 from ultratight.ins.recorded_motion import RecordedMotion
 from ultratight.ins.trajectory import RigidMotion, Segment, Trajectory
 from ultratight.scenario import InvalidInput, Scenario, Unsupported
+from ultratight.tracking.channels import channels
 from ultratight.tracking.knows import Knows
 
 NODE_S = 0.005
@@ -102,7 +105,19 @@ class World:
         chosen = np.sort([i for i in order if keep[i]][: s.max_satellites])
         if len(chosen) < FEWEST_SATELLITES:
             raise InvalidInput(self._too_few(len(chosen), int((elevation >= s.mask_deg).sum())))
-        self.prn, self.elements = prn[chosen], np.ascontiguousarray(rows[chosen])
+        self._name_channels(prn[chosen], rows[chosen])
+
+    def _name_channels(self, prn: np.ndarray, rows: np.ndarray) -> None:
+        """Every satellite sends every signal; channels stand signal by signal."""
+        s = self.scenario
+        try:
+            kinds = [signal(label, s.galileo_codes) for label in s.signals]
+            self.rows = [row for row in kinds for _ in prn]
+            self.prn = np.tile(prn, len(kinds))
+            self.channels = channels(self.rows, self.prn.tolist(), s.start_tow_s)
+        except ValueError as error:
+            raise InvalidInput(f"signals: {error}") from None
+        self.elements = np.ascontiguousarray(np.tile(rows, (len(kinds), 1)))
 
     def _too_few(self, kept: int, risen: int) -> str:
         """Name the key that left too few satellites."""
@@ -119,7 +134,7 @@ class World:
     @property
     def names(self) -> list[str]:
         """Channel names, such as G05:L1CA."""
-        return [f"G{p:02d}:L1CA" for p in self.prn]
+        return [row.channel(p) for row, p in zip(self.rows, self.prn.tolist(), strict=True)]
 
     def true_time(self, t_s: np.ndarray) -> np.ndarray:
         """GPS time since the nominal start, at receiver times [s]."""
@@ -132,8 +147,10 @@ class World:
 
     @cached_property
     def symbols(self) -> tuple[int, np.ndarray]:
-        """Number of the first data bit, and all data bits (n_channel, n_bit)."""
-        return sky.data_bits(self.scenario, self.seed, self.sky, self.prn, self.t_s)
+        """Number of the first symbol, and all symbols (n_channel, n_symbol)."""
+        return sky.symbols(
+            self.scenario, self.seed, self.sky, self.rows, self.prn, self.channels, self.t_s
+        )
 
     @cached_property
     def signal(self) -> SignalState:
@@ -157,19 +174,21 @@ class World:
             bits,
             first_bit,
             valid,
+            self.channels.nominal,
         )
-        return sky.with_atmosphere(self.scenario, self.sky, self.prn, r, state)
+        return sky.with_atmosphere(self.scenario, self.sky, self.prn, self.channels, r, state)
 
     def _cn0_dbhz(self, t_s: np.ndarray) -> np.ndarray:
         s = self.scenario
-        foreign = set(s.channel.cn0_by_prn_dbhz) - {f"G{p:02d}" for p in self.prn}
+        names = [name.partition(":")[0] for name in self.names]
+        foreign = set(s.channel.cn0_by_prn_dbhz) - set(names)
         if foreign:
-            seen = ", ".join(f"G{p:02d}" for p in self.prn)
+            seen = ", ".join(dict.fromkeys(names))
             raise InvalidInput(
                 f"channel.cn0_by_prn_dbhz: {', '.join(sorted(foreign))} given, expected some of "
                 f"the satellites in view: {seen}"
             )
-        level = np.array([s.channel.cn0_by_prn_dbhz.get(f"G{p:02d}", s.cn0_dbhz) for p in self.prn])
+        level = np.array([s.channel.cn0_by_prn_dbhz.get(name, s.cn0_dbhz) for name in names])
         if not s.channel.cn0_profile_s_db:
             return level
         t, offset = np.array(s.channel.cn0_profile_s_db).T
@@ -191,8 +210,14 @@ class World:
 
     @cached_property
     def chips(self) -> np.ndarray:
-        """(n_channel, 1023) int8 codes of the channels."""
-        return np.stack([GPS_L1CA.chips(int(p)) for p in self.prn])
+        """(n_channel, 1023) int8 codes of the channels; samples are made of L1 C/A alone."""
+        return np.stack([r.chips(p) for r, p in zip(self.rows, self.prn.tolist(), strict=True)])
+
+    @cached_property
+    def waveforms(self) -> Replicas:
+        """One period of the replica of each channel."""
+        rows = [r.subchips(p) for r, p in zip(self.rows, self.prn.tolist(), strict=True)]
+        return replicas(rows, [row.per_chip for row in self.rows])
 
     @cached_property
     def samples(self) -> SyntheticIf | Recording:
@@ -209,18 +234,28 @@ class World:
             sample_format=f.sample_format,
         )
 
+    @cached_property
+    def correlations(self) -> Correlations:
+        """Autocorrelation of the replica of each channel."""
+        return correlations(self.waveforms)
+
     def correlator(self) -> Correlator:
         """A fresh correlator of the scenario's kind."""
         c = self.scenario.correlator
         if c.kind == "model":
             if self._samples is not None:
                 raise Unsupported("correlator.kind: the closed form takes no samples")
+            kind = np.array([LABELS.index(row.label) for row in self.rows])
+            length = np.array([row.length_chips for row in self.rows])
             return ModelCorrelator(
                 self.signal,
-                self.chips,
-                self.prn,
+                self.correlations,
+                self.prn + 256 * kind,
                 self.offset_chips,
                 self.seed,
+                symbol_chips=self.channels.symbol_chips,
+                # of a code longer than an integration any part stands for all
+                period_chips=np.gcd(self.channels.dump_chips, length),
                 multiple_access=c.multiple_access,
             )
         from signals.correlator import SampleCorrelator  # takes a while, and the model needs none
@@ -265,6 +300,7 @@ class World:
             start_tow_s=s.start_tow_s,
             prn=self.prn,
             elements=self.elements,
+            channels=self.channels,
             cn0_dbhz=cn0,
             r_eb_e=r,
             v_eb_e=v,

@@ -8,13 +8,19 @@ from signals.constants import C_MPS, CA_CHIP_RATE_HZ, GPS_L1_HZ, OMEGA_EARTH
 from signals.correlator_model import ModelCorrelator
 from signals.nco import Nco
 from signals.propagation import SignalState
+from ultratight.tracking.channels import channels
+from ultratight.tracking.code_model import HALF, OFFSET, code_rows
+from ultratight.tracking.code_model import SPACING as SPACING_COLUMN
 from ultratight.tracking.half_bits import Bits, HalfBits
 from ultratight.tracking.measurements import Amplitudes, measure
-from ultratight.tracking.steering import WAVELENGTH_M, new_steering
+from ultratight.tracking.steering import new_steering
 from ultratight.tracking.tap_model import TapModel
 
 PRN, SPACING, CN0_DBHZ, HALF_S = 17, 0.25, 35.0, 0.01
 LAG1 = float(GPS_L1CA.autocorrelation(PRN)[1])
+WAVELENGTH_M = C_MPS / GPS_L1_HZ
+FACTS = channels([GPS_L1CA], [PRN], 0.0)
+CODE = (code_rows(FACTS), FACTS.pilot)
 A2 = 2.0 * 10 ** (CN0_DBHZ / 10.0) * HALF_S
 T_S = 0.02
 LEVEL = new_steering(1, 0.005)
@@ -25,14 +31,14 @@ LEVEL.u[0] = [1.0, 0.0, 0.0]
 def differential(bits, spacing=SPACING, clock_sf=0.0, steering=LEVEL, t_s=T_S):
     """Model D of one channel."""
     memory = Amplitudes(np.array([A2]), np.zeros(1, complex))
-    return measure(bits, steering, t_s, 17, 17, np.array([LAG1]), spacing, clock_sf, memory)
+    return measure(bits, steering, t_s, 17, 17, *CODE, spacing, clock_sf, memory)
 
 
 def coherent(bits, spacing=SPACING, clock_sf=0.0, steering=LEVEL, t_s=T_S):
     """Model C of one channel, all data bits +1."""
     memory = Amplitudes(np.array([A2]), np.zeros(1, complex))
     data = np.ones((1, 10_000), np.int8)
-    return measure(bits, steering, t_s, 18, 17, np.array([LAG1]), spacing, clock_sf, memory, data)
+    return measure(bits, steering, t_s, 18, 17, *CODE, spacing, clock_sf, memory, data)
 
 
 def taps(dr, dv, p=0.0, n_bit=1, noise=False, seed=1, spacing=SPACING):
@@ -68,7 +74,7 @@ def taps(dr, dv, p=0.0, n_bit=1, noise=False, seed=1, spacing=SPACING):
 def bits(found):
     """Pair them, with a memory that knows of no difference."""
     steering = new_steering(1, 0.005)
-    return HalfBits(1, 3).pair(found, steering)
+    return HalfBits(FACTS, 3).pair(found, steering)
 
 
 def measured(dr, dv, p=0.0):
@@ -106,7 +112,9 @@ def test_signs_farther_is_late_receding_is_clockwise():
 @pytest.mark.parametrize("d", [2, 3])
 def test_jacobians_are_finite_differences_with_the_prompt_peak_held(d):
     """Away from kinks, with lag1 = 1 (flat prompt) in the I and Q rows, where R(d) is held."""
-    model = TapModel(np.array([[LAG1, 2.0, HALF_S, SPACING]]))
+    params = code_rows(FACTS)
+    params[0, [OFFSET, HALF, SPACING_COLUMN]] = 2.0, HALF_S, SPACING
+    model = TapModel(params)
     y = np.array([[5.0, 3.0]]) if d == 2 else np.array([[5.0, 0.03, 3.0]])
     z, J = model.jacobian(y)
     np.testing.assert_array_equal(z, model(y[:, None])[:, 0])
@@ -195,7 +203,7 @@ def test_a_half_that_lost_its_partner_is_dropped():
 def test_model_c_without_the_data_bit_is_refused():
     paired = bits(taps(0.0, 0.0))
     memory = Amplitudes(np.array([A2]), np.zeros(1, complex))
-    rest = (np.array([LAG1]), SPACING, 0.0, memory)
+    rest = (*CODE, SPACING, 0.0, memory)
     with pytest.raises(ValueError, match="data_bits: none for bit 0 of channel 0"):
         measure(paired, LEVEL, T_S, 18, 17, *rest)
     with pytest.raises(ValueError, match="data_bits: none for bit 0 of channel 0"):
@@ -209,6 +217,6 @@ def test_amplitude_follows_the_power_of_the_prompts():
     paired = Bits(np.array([0]), np.array([0]), np.array([[0.01, HALF_S, 0.0]]), iq)
     memory = Amplitudes(np.array([100.0]), np.zeros(1, complex))
     data = -np.ones((1, 1), np.int8)
-    measure(paired, LEVEL, T_S, 17, 17, np.array([LAG1]), SPACING, 0.0, memory, data)
+    measure(paired, LEVEL, T_S, 17, 17, *CODE, SPACING, 0.0, memory, data)
     assert memory.amplitude2[0] == pytest.approx(100.0 + 0.02 * (25.0 - 2.0 - 100.0))
     assert memory.prompt[0] == -(3.0 + 9.0j)

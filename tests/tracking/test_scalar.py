@@ -16,6 +16,7 @@ from ultratight import scenario
 from ultratight.ins.imu import Increments
 from ultratight.simulation import fly, new_closure
 from ultratight.tracking.channel_loops import LOCKED, PULL_IN
+from ultratight.tracking.channels import channels
 from ultratight.tracking.loop_filters import phase_loop
 from ultratight.tracking.positioning import least_squares
 from ultratight.tracking.scalar import Scalar, ScalarSettings
@@ -87,7 +88,8 @@ def bench(
         **{k: np.concatenate([getattr(part, k) for part in parts]) for k in joined}
     )
     perfect = {
-        "prn": prn, "elements": rows, "cn0_dbhz": state.cn0_dbhz[:, 0], "r_eb_e": r[0],
+        "prn": prn, "channels": channels([GPS_L1CA] * len(prn), prn, world.scenario.start_tow_s),
+        "elements": rows, "cn0_dbhz": state.cn0_dbhz[:, 0], "r_eb_e": r[0],
         "v_eb_e": v[0], "clock_m": 0.0, "clock_rate_mps": 0.0, "data_bits": None,
     }  # fmt: skip
     knows = dataclasses.replace(world.knows, **(perfect | told))

@@ -5,10 +5,10 @@ import pytest
 from scipy.integrate import quad
 
 from signals.arcs import arcs
+from signals.constants import C_MPS, GPS_L1_HZ
 from ultratight.ins.imu import Increments
 from ultratight.scenario import load
 from ultratight.tracking.steering import (
-    WAVELENGTH_M,
     feed_back,
     mean_known,
     predict,
@@ -17,6 +17,7 @@ from ultratight.tracking.steering import (
 )
 from ultratight.world import World
 
+WAVELENGTH_M = C_MPS / GPS_L1_HZ
 START_S = 19.99  # the jump of 100 m/s2 falls into the epoch that follows
 N_PIECE = 4
 

@@ -3,9 +3,12 @@
 import numpy as np
 import pytest
 
+from signals.codes import GPS_L1CA, GPS_L1CP, GPS_L5Q
 from ultratight.filters.gaussian import Gaussian, Measurement, update
 from ultratight.filters.reference import update_reference
 from ultratight.filters.rules import RULES
+from ultratight.tracking.channels import channels
+from ultratight.tracking.code_model import HALF, OFFSET, SPACING, code_rows
 from ultratight.tracking.tap_model import TapModel, sin_cos
 
 FIELDS = ("mean", "cov", "innovation", "S", "gain", "nis", "H")
@@ -19,9 +22,11 @@ def problem(d, scale, n=20, nb=5):
     A = rng.standard_normal((nb, d, n))
     spread = np.sqrt(np.einsum("bdn,nm,bdm->bd", A, cov, A))
     A *= scale * np.array([60.0, 2.5] if d == 2 else [60.0, 0.06, 2.5])[:, None] / spread[..., None]
-    lag1 = rng.choice([-65.0, -1.0, 63.0], nb) / 1023.0
-    offset = 5.0 * rng.standard_normal(nb)
-    model = TapModel(np.column_stack([lag1, offset, np.full((nb, 2), [0.01, 0.25])]))
+    signals = [GPS_L1CA, GPS_L1CA, GPS_L5Q, GPS_L1CP, GPS_L1CA][:nb]
+    params = code_rows(channels(signals, [1, 3, 7, 9, 22][:nb], 0.0))
+    params[:, OFFSET] = 5.0 * rng.standard_normal(nb)
+    params[:, [HALF, SPACING]] = 0.01, 0.25
+    model = TapModel(params)
     z = [0.8, 0.0, 0.0] + 0.3 * rng.standard_normal((nb, 3))
     R = np.broadcast_to(np.diag([0.01, 0.02, 0.03]), (nb, 3, 3)).copy()
     state = Gaussian(0.1 * rng.standard_normal(n), cov)

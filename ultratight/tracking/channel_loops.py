@@ -19,11 +19,12 @@ from typing import NamedTuple
 import numpy as np
 
 from signals.compiled import kernel
-from signals.constants import CA_CHIP_RATE_HZ, GPS_L1_HZ
+from signals.constants import C_MPS, CA_CHIP_RATE_HZ, GPS_L1_HZ
 from ultratight.tracking.discriminators import costas_phase, dot_product_delay, frequency
 from ultratight.tracking.loop_filters import filter_step
-from ultratight.tracking.steering import WAVELENGTH_M, advance_ins, predict, views
+from ultratight.tracking.steering import advance_ins, predict, views
 
+WAVELENGTH_M = C_MPS / GPS_L1_HZ
 PULL_IN, ASSISTED, LOCKED = 0, 1, 2
 CODE_S = 0.001
 BIT_CODES = 20

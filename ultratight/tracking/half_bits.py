@@ -1,4 +1,8 @@
-"""Half-bit dumps become data bits: paired, and freed of what is known of the NCO."""
+"""Half-bit dumps become data bits: paired, and freed of what is known of the NCO.
+
+A pilot has no bits: its pairs are those of two integrations, the first with an even number, freed
+of the overlay, which is public.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +13,7 @@ import numpy as np
 
 from signals.compiled import borrowing
 from signals.nco import Taps
+from ultratight.tracking.channels import Channels
 from ultratight.tracking.steering import Steering, mean_known, views
 
 EARLY, PROMPT, LATE = 0, 1, 2
@@ -29,7 +34,9 @@ class Bits(NamedTuple):
 class HalfBits:
     """Pairs the half-bit dumps of each channel; a half that waits is kept with its times."""
 
-    def __init__(self, n_channel: int, n_tap: int) -> None:
+    def __init__(self, channels: Channels, n_tap: int) -> None:
+        self.channels = channels
+        n_channel = len(channels.pilot)
         self.number = np.full(n_channel, -(10**9), dtype=np.int64)
         self.t_s = np.zeros((n_channel, 2))
         self.iq = np.zeros((n_channel, n_tap), dtype=np.complex128)
@@ -39,9 +46,12 @@ class HalfBits:
         n_dump, n_tap = taps.iq.shape
         channel, number = np.empty(n_dump, dtype=np.int64), np.empty(n_dump, dtype=np.int64)
         span, iq = np.empty((n_dump, 3)), np.empty((n_dump, 2, n_tap), dtype=np.complex128)
+        facts = self.channels
         n = _pair(
-            taps.channel, taps.number, taps.t_start_s, taps.t_end_s, taps.iq, taps.noise_var,
-            self.number, self.t_s, self.iq, steering.buffer, channel, number, span, iq,
+            facts.dump_chips, facts.symbol_chips, facts.overlay, facts.overlay_length,
+            facts.overlay_start, taps.channel, taps.number, taps.t_start_s, taps.t_end_s, taps.iq,
+            taps.noise_var, self.number, self.t_s, self.iq, steering.buffer,
+            channel, number, span, iq,
         )  # fmt: skip
         return Bits(channel[:n], number[:n], span[:n], iq[:n])
 
@@ -51,6 +61,11 @@ class HalfBits:
 
 @borrowing
 def _pair(
+    dump_chips: np.ndarray,
+    symbol_chips: np.ndarray,
+    overlay: np.ndarray,
+    overlay_length: np.ndarray,
+    overlay_start: np.ndarray,
     channel: np.ndarray,
     number: np.ndarray,
     t_start: np.ndarray,
@@ -72,6 +87,9 @@ def _pair(
     for k in range(channel.size):
         i = channel[k]
         scale = 1.0 / math.sqrt(noise_var[k])
+        if overlay_length[i] > 1:
+            symbol = overlay_start[i] + number[k] * dump_chips[i] // symbol_chips[i]
+            scale *= overlay[i, symbol % overlay_length[i]]
         if number[k] % 2 == 0:
             wait_number[i] = number[k]
             wait_t[i, 0], wait_t[i, 1] = t_start[k], t_end[k]

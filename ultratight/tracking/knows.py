@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ultratight.ins.error_state import ProcessNoise
+from ultratight.tracking.channels import Channels
 
 
 @dataclass(frozen=True)
@@ -22,6 +23,7 @@ class Knows:
     start_tow_s: float
     prn: np.ndarray  # (n_channel,) int64
     elements: np.ndarray  # (n_channel, N_ELEMENT) broadcast elements, see signals.satellites
+    channels: Channels  # the signals' public facts
     cn0_dbhz: np.ndarray  # (n_channel,) first guess
     r_eb_e: np.ndarray  # (3,) IMU position [m]
     v_eb_e: np.ndarray  # (3,) [m/s]
@@ -45,23 +47,22 @@ class Knows:
         """(17, 17) diagonal covariance of the first error state."""
         return np.diag(self.sigma**2)
 
-    def bits_of(self, channel: np.ndarray, index: np.ndarray) -> np.ndarray | None:
-        """Data bits (n,) of +-1 by channel and bit number; None where they are not known."""
-        if self.data_bits is None:
-            return None
-        return self.data_bits[channel, index - self.first_bit].astype(np.float64)
-
     def save(self, path: str | Path) -> None:
         """Write everything to one ``.npz`` file."""
-        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        values = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "channels"}
+        values |= {f"channels.{k}": v for k, v in self.channels._asdict().items()}
         np.savez(path, **{k: v for k, v in values.items() if v is not None})
 
     @classmethod
     def load(cls, path: str | Path) -> Knows:
         """Read what `save` wrote.  Raises OSError or ValueError for anything else."""
         with np.load(path, allow_pickle=False) as data:
-            names = {f.name for f in fields(cls)}
+            facts = {f"channels.{k}" for k in Channels._fields}
+            names = {f.name for f in fields(cls)} - {"channels"} | facts
             if unknown := set(data.files) - names:
                 raise ValueError(f"{path}: unknown entries {sorted(unknown)}")
             values = {k: data[k] if data[k].ndim else data[k].item() for k in data.files}
-        return cls(**values)
+        if missing := facts - set(values):
+            raise ValueError(f"{path}: entries {sorted(missing)} are missing")
+        signals = Channels(*(values.pop(f"channels.{k}") for k in Channels._fields))
+        return cls(**values, channels=signals)

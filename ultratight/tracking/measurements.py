@@ -4,7 +4,7 @@ Both work on the two half-bit dumps (10 ms each for GPS L1 C/A) of one data bit,
 time t_mid in its middle, and on errors (true - estimate) in metres and m/s along the line of
 sight.  Writing P, E, L for prompt, early, late, A^2 for the squared amplitude of one half-bit
 prompt in units of the noise variance, R for the correlation function of the code, T_h for the
-half bit, f = dv / wavelength and d = (dr + known code offset) / chip:
+half bit, f = dv / wavelength and d = (dr + known code offset) / chip (each channel's own):
 
 * model D (differential, no data bits needed), y = (dr, dv), z = (Re D, Im D, S),
   D = P1 conj(P2) / A^2, S = mean_h Re((L_h - E_h) conj P_h) / A^2:
@@ -13,7 +13,7 @@ half bit, f = dv / wavelength and d = (dr + known code offset) / chip:
       h_S = sinc^2(f T_h) R(d) (R(d - spacing) - R(d + spacing))
 
 * model C (coherent, data bits known), y = (dr, p, dv), z = (Re P, -Im P, S) with
-  P = bit (P1 + P2) / (2 A), p the carrier-phase error in metres at t_mid:
+  P = bit (P1 + P2) / (2 A), p the carrier-phase error in metres at t_mid; the bit of a pilot is 1:
 
       h_I + j h_Q = R(d) sinc(2 f T_h) exp(j 2 pi p / wavelength),   h_S as in D.
 
@@ -30,14 +30,15 @@ import numpy as np
 
 from signals.compiled import borrowing
 from ultratight.filters.gaussian import Measurement
+from ultratight.tracking.code_model import HALF as HALF_S
+from ultratight.tracking.code_model import OFFSET, SPACING, WAVELENGTH, correlation
 from ultratight.tracking.half_bits import EARLY, HALF, LATE, PROMPT, RANGE, T_MID, Bits
-from ultratight.tracking.steering import WAVELENGTH_M, Steering, lever, views
-from ultratight.tracking.tap_model import TapModel, correlation
+from ultratight.tracking.steering import Steering, lever, views
+from ultratight.tracking.tap_model import TapModel
 
 AMPLITUDE_GAIN = 0.02
 """Share of each bit in the running A^2: a time constant of 1 s"""
 AMPLITUDE2_FLOOR = 0.5
-RADIANS_PER_M = 2.0 * math.pi / WAVELENGTH_M
 NO_BITS = np.zeros((0, 0), dtype=np.int8)
 
 
@@ -54,7 +55,8 @@ def measure(
     t_s: float,
     n_state: int,
     phase_start: int,
-    lag1: np.ndarray,
+    codes: np.ndarray,
+    pilot: np.ndarray,
     spacing_chips: float,
     clock_sf: float,
     amplitudes: Amplitudes,
@@ -67,7 +69,8 @@ def measure(
     ----------
     n_state, phase_start : number of states and first row of the channel phases; without phases
         (phase_start = n_state) it is model D, else model C.
-    lag1 : (n_channel,) R at one chip.
+    codes : `code_rows` of the channels.
+    pilot : (n_channel,) bool: no data, all bits 1.
     clock_sf : density S_f of the clock's white frequency noise [m2/s].
     data_bits : (n_channel, n_bit) int8 of +-1 from bit ``first_bit`` on; model C needs them.
 
@@ -77,10 +80,10 @@ def measure(
     """
     nb, d = bits.channel.size, 2 if phase_start == n_state else 3
     z, A, R = np.empty((nb, 3)), np.empty((nb, d, n_state)), np.empty((nb, 3, 3))
-    params = np.empty((nb, 4))
+    params = np.empty((nb, codes.shape[1]))
     missing = _measure(
-        bits.channel, bits.number, bits.span, bits.iq, steering.buffer, t_s, phase_start, lag1,
-        spacing_chips, clock_sf, amplitudes.amplitude2, amplitudes.prompt,
+        bits.channel, bits.number, bits.span, bits.iq, steering.buffer, t_s, phase_start, codes,
+        pilot, spacing_chips, clock_sf, amplitudes.amplitude2, amplitudes.prompt,
         NO_BITS if data_bits is None else data_bits, first_bit, params, z, A, R,
     )  # fmt: skip
     if missing >= 0:
@@ -104,7 +107,8 @@ def _measure(
     buffer: np.ndarray,
     t_s: float,
     phase_start: int,
-    lag1: np.ndarray,
+    codes: np.ndarray,
+    pilot: np.ndarray,
     spacing: float,
     clock_sf: float,
     amplitude2: np.ndarray,
@@ -121,24 +125,29 @@ def _measure(
     R[:] = 0.0
     for b in range(channel.size):
         i = channel[b]
-        params[b, 0] = lag1[i]
-        params[b, 1] = span[b, RANGE]
-        params[b, 2] = span[b, HALF]
-        params[b, 3] = spacing
+        for k in range(params.shape[1]):
+            params[b, k] = codes[i, k]
+        params[b, OFFSET] = span[b, RANGE]
+        params[b, HALF_S] = span[b, HALF]
+        params[b, SPACING] = spacing
+        radians_per_m = 2.0 * math.pi / params[b, WAVELENGTH]
         dt = span[b, T_MID] - t_s
         _range_rows(s, i, dt, A[b])
         data, column = 0.0, number[b] - first_bit
-        if 0 <= column < data_bits.shape[1]:
+        if pilot[i]:
+            data = 1.0
+        elif 0 <= column < data_bits.shape[1]:
             data = float(data_bits[i, column])
         if A.shape[1] == 2:
-            _differential(iq[b], amplitude2[i], span[b, HALF], clock_sf, z[b], R[b])
+            turned = radians_per_m**2 * clock_sf * (2.0 / 3.0) * span[b, HALF]
+            _differential(iq[b], amplitude2[i], turned, z[b], R[b])
         else:
             if data == 0.0:
                 return b
             _phase_row(s, i, dt, phase_start + i, A[b])
-            unmet = clock_sf * (-dt - span[b, HALF] / 6.0)
+            unmet = radians_per_m**2 * clock_sf * (-dt - span[b, HALF] / 6.0)
             _coherent(iq[b], data, amplitude2[i], unmet, z[b], R[b])
-        half = 1.0 - correlation(2.0 * spacing, lag1[i])
+        half = 1.0 - correlation(2.0 * spacing, params[b])
         z[b, 2], R[b, 2, 2] = _split(iq[b], half, amplitude2[i])
         if data != 0.0:
             prompt[i] = data * (iq[b, 0, PROMPT] + iq[b, 1, PROMPT])
@@ -210,15 +219,13 @@ def _split(iq: np.ndarray, half: float, a2: float) -> tuple[float, float]:
 
 
 @borrowing
-def _differential(
-    iq: np.ndarray, a2: float, half_s: float, clock_sf: float, z: np.ndarray, R: np.ndarray
-) -> None:
+def _differential(iq: np.ndarray, a2: float, turned: float, z: np.ndarray, R: np.ndarray) -> None:
+    """``turned``: white frequency noise of the oscillator turns one half against the other."""
     turn = iq[0, PROMPT] * iq[1, PROMPT].conjugate() / a2
     z[0], z[1] = turn.real, turn.imag
     r = 2.0 / a2 + 2.0 / a2**2
     R[0, 0] = r
-    # white frequency noise of the oscillator turns one half against the other
-    R[1, 1] = r + RADIANS_PER_M**2 * clock_sf * (2.0 / 3.0) * half_s
+    R[1, 1] = r + turned
 
 
 @borrowing
@@ -226,10 +233,11 @@ def _coherent(
     iq: np.ndarray, data: float, a2: float, unmet: float, z: np.ndarray, R: np.ndarray
 ) -> None:
     """The covariance holds the clock's white frequency noise up to t; a bit that was centred
-    before has not met the last of it, and met its own share as a mean over two halves: ``unmet``.
+    before has not met the last of it, and met its own share as a mean over two halves: ``unmet``
+    [rad2].
     """
     p = data * (iq[0, PROMPT] + iq[1, PROMPT]) / (2.0 * math.sqrt(a2))
     z[0], z[1] = p.real, -p.imag
     r = 0.5 / a2
     R[0, 0] = r
-    R[1, 1] = r - min(RADIANS_PER_M**2 * unmet, 0.5 * r)
+    R[1, 1] = r - min(unmet, 0.5 * r)

@@ -32,6 +32,7 @@ from ultratight.tracking.channel_loops import (
     EVENTS,
     LOCKED,
     SETTLING_S,
+    WAVELENGTH_M,
     Design,
     Loops,
     advance,
@@ -44,7 +45,7 @@ from ultratight.tracking.knows import Knows
 from ultratight.tracking.loop_filters import frequency_loop, phase_loop
 from ultratight.tracking.positioning import least_squares
 from ultratight.tracking.rows import Fields, Rows
-from ultratight.tracking.steering import WAVELENGTH_M, antenna, start
+from ultratight.tracking.steering import antenna, start
 
 EPOCH_S = 0.001
 BIT_S = 0.02

@@ -16,14 +16,13 @@ import numpy as np
 from signals.arcs import arcs
 from signals.code_start import code_phase_origin
 from signals.compiled import borrowing, kernel
-from signals.constants import C_MPS, CA_CHIP_RATE_HZ, GPS_L1_HZ, OMEGA_EARTH
+from signals.constants import C_MPS, OMEGA_EARTH
 from signals.propagation import predict_channels
 from ultratight.ins.attitude import make_orthonormal, turn_left
 from ultratight.ins.earth import gravity_at
 from ultratight.ins.strapdown import strapdown_step
 from ultratight.tracking.knows import Knows
 
-WAVELENGTH_M = C_MPS / GPS_L1_HZ
 HISTORY_S = 0.06
 """Commands are remembered for this long and an epoch: a bit may have begun two bits ago [s]"""
 SKY_S = 600.0
@@ -49,13 +48,16 @@ class Steering(NamedTuple):
     last_dt: np.ndarray  # (1,) its length [s]
     mean_force: np.ndarray  # (2, 3) mean specific force, this epoch and the one before [m/s2]
     lever_arm_b: np.ndarray  # (3,) IMU to antenna [m]
-    start: np.ndarray  # (2,) time of week [s] and code phase [chips] at t_s = 0
+    start: np.ndarray  # (1,) time of week at t_s = 0 [s]
     newest: np.ndarray  # (1,) slot of the memory that was written last
     rho: np.ndarray  # (n_channel,) predicted pseudorange now [m]
     rho_rate: np.ndarray  # (n_channel,) [m/s]
     u: np.ndarray  # (n_channel, 3) unit vectors antenna -> satellite
     phase_offset: np.ndarray  # (n_channel,) NCO carrier phase + rho / wavelength [cycles]
     before: np.ndarray  # (2, n_channel) rho and rho_rate before the step under way
+    wavelength_m: np.ndarray  # (n_channel,) of the carrier
+    chip_rate_hz: np.ndarray  # (n_channel,) nominal
+    code_origin: np.ndarray  # (n_channel,) code phase at t_s = 0 [chips]
     known_t_s: np.ndarray  # (n_memory, 2) start and end of remembered pieces, a ring [s]
     known_carrier: np.ndarray  # (n_memory, n_channel, 4) reference - NCO, cubic [cycles]
     known_range: np.ndarray  # (n_memory, n_channel, 4) reference - NCO of the code, cubic [m]
@@ -63,8 +65,8 @@ class Steering(NamedTuple):
 
 N_NAVIGATION = 23
 """Numbers of a buffer that say where the receiver is: r, v, C, biases, clock, in this order"""
-_FIXED = 42
-_PER_CHANNEL = 8
+_FIXED = 41
+_PER_CHANNEL = 11
 
 
 class Sky:
@@ -108,7 +110,10 @@ def start(knows: Knows, piece_s: float, epoch_s: float = 0.02) -> tuple[Steering
     s.last_nu[:] = k.first_nu
     s.last_alpha[:] = k.first_alpha
     s.lever_arm_b[:] = k.lever_arm_b_m
-    s.start[:] = k.start_tow_s, code_phase_origin(k.start_tow_s)
+    s.start[:] = k.start_tow_s
+    s.wavelength_m[:] = k.channels.wavelength_m
+    s.chip_rate_hz[:] = k.channels.chip_rate_hz
+    s.code_origin[:] = code_phase_origin(k.start_tow_s, k.channels.nominal)
     sky = Sky(k.elements, k.start_tow_s)
     predict(s, sky.arcs, 0.0)
     return s, sky
@@ -138,13 +143,16 @@ def _views(buffer: np.ndarray, n_channel: int) -> Steering:
         buffer[29:30],
         buffer[30:36].reshape((2, 3)),
         buffer[36:39],
-        buffer[39:41],
-        buffer[41:42],
+        buffer[39:40],
+        buffer[40:41],
         channels[:n],
         channels[n : 2 * n],
         channels[2 * n : 5 * n].reshape((n, 3)),
         channels[5 * n : 6 * n],
-        channels[6 * n :].reshape((2, n)),
+        channels[6 * n : 8 * n].reshape((2, n)),
+        channels[8 * n : 9 * n],
+        channels[9 * n : 10 * n],
+        channels[10 * n :],
         memory[:t_end].reshape((n_memory, 2)),
         memory[t_end:carrier_end].reshape((n_memory, n, 4)),
         memory[carrier_end:].reshape((n_memory, n, 4)),
@@ -263,11 +271,12 @@ def _command(s: Steering, t: float, out: np.ndarray) -> None:
         rho, rate = s.rho[i], s.rho_rate[i]
         s.before[0, i] = rho
         s.before[1, i] = rate
-        out[0, i] = s.start[1] + CA_CHIP_RATE_HZ * (t - rho / C_MPS)
-        out[1, i] = CA_CHIP_RATE_HZ * (1.0 - rate / C_MPS)
-        out[2, i] = s.phase_offset[i] - rho / WAVELENGTH_M
-        out[3, i] = -rate / WAVELENGTH_M
-        out[4, i] = (s.u[i, 0] * ax + s.u[i, 1] * ay + s.u[i, 2] * az) / WAVELENGTH_M
+        wavelength_m = s.wavelength_m[i]
+        out[0, i] = s.code_origin[i] + s.chip_rate_hz[i] * (t - rho / C_MPS)
+        out[1, i] = s.chip_rate_hz[i] * (1.0 - rate / C_MPS)
+        out[2, i] = s.phase_offset[i] - rho / wavelength_m
+        out[3, i] = -rate / wavelength_m
+        out[4, i] = (s.u[i, 0] * ax + s.u[i, 1] * ay + s.u[i, 2] * az) / wavelength_m
 
 
 @borrowing
@@ -287,8 +296,8 @@ def _remember(s: Steering, t0: float, t1: float, carrier_rate: np.ndarray) -> No
         length, carrier = s.known_range[slot, i], s.known_carrier[slot, i]
         length[0], length[1], length[2], length[3] = 0.0, 0.0, a2, a3
         carrier[0], carrier[1] = 0.0, 0.0
-        carrier[2] = -a2 / WAVELENGTH_M - 0.5 * carrier_rate[i]
-        carrier[3] = -a3 / WAVELENGTH_M
+        carrier[2] = -a2 / s.wavelength_m[i] - 0.5 * carrier_rate[i]
+        carrier[3] = -a3 / s.wavelength_m[i]
 
 
 @borrowing
@@ -319,7 +328,7 @@ def feed_back(
     predict(s, sky, t_s)
     for i in range(n_channel):
         # the NCO's phase moves by the phase correction only, not by that of position and clock
-        s.phase_offset[i] += (s.rho[i] - s.before[0, i] - phase_m[i]) / WAVELENGTH_M
+        s.phase_offset[i] += (s.rho[i] - s.before[0, i] - phase_m[i]) / s.wavelength_m[i]
     for k in range(s.known_t_s.shape[0]):
         if s.known_t_s[k, 1] == -math.inf:
             continue
@@ -329,8 +338,8 @@ def feed_back(
             d_rate = s.rho_rate[i] - s.before[1, i]
             s.known_range[k, i, 0] += d_rho + back * d_rate
             s.known_range[k, i, 1] += d_rate
-            s.known_carrier[k, i, 0] -= (phase_m[i] + back * d_rate) / WAVELENGTH_M
-            s.known_carrier[k, i, 1] -= d_rate / WAVELENGTH_M
+            s.known_carrier[k, i, 0] -= (phase_m[i] + back * d_rate) / s.wavelength_m[i]
+            s.known_carrier[k, i, 1] -= d_rate / s.wavelength_m[i]
 
 
 @borrowing

@@ -10,7 +10,6 @@ from __future__ import annotations
 import numpy as np
 
 from signals.compiled import FAST_SUM, borrowing, kernel
-from signals.constants import C_MPS, CA_CHIP_RATE_HZ
 from ultratight.filters.conditioning import condition_on
 from ultratight.filters.rules import (
     chain,
@@ -21,9 +20,18 @@ from ultratight.filters.rules import (
     scatter,
     solve_slope,
 )
-from ultratight.tracking.steering import WAVELENGTH_M
+from ultratight.tracking.code_model import (
+    CHIP,
+    HALF,
+    OFFSET,
+    SPACING,
+    TABLE,
+    WAVELENGTH,
+    correlation,
+    early_late,
+    slope,
+)
 
-CHIP_M = C_MPS / CA_CHIP_RATE_HZ
 TINY = 1e-100
 """sin x / x is exactly 1 here"""
 ROOM = 22
@@ -33,10 +41,13 @@ ROOM = 22
 class TapModel:
     """h of model D for y = (dr, dv), of model C for y = (dr, p, dv).
 
-    ``params`` (nb, 4): R at one chip, known code offset [m], T_h [s], spacing [chips].
+    ``params`` (nb, TABLE + n) are `code_rows` with the known code offset [m], T_h [s] and the
+    spacing [chips] of each bit filled in.
     """
 
     def __init__(self, params: np.ndarray) -> None:
+        if params.shape[1] < TABLE + 2:  # kernels do not look where they read
+            raise ValueError(f"params is {params.shape}: expected (nb, {TABLE + 2} or more)")
         self.params = params
 
     def __call__(self, y: np.ndarray) -> np.ndarray:
@@ -133,7 +144,7 @@ def _linearise(
 def _evaluate(y: np.ndarray, params: np.ndarray, z: np.ndarray) -> None:
     """z (nb, p, 3) at y (nb, p, d)."""
     p = y.shape[1]
-    points, values, work = np.empty((y.shape[2], p)), np.empty((3, p)), np.empty((6, p))
+    points, values, work = np.empty((y.shape[2], p)), np.empty((3, p)), np.empty((8, p))
     for b in range(y.shape[0]):
         points[:] = y[b].T
         _taps(points, params[b], work, values)
@@ -148,7 +159,7 @@ def _jacobians(y: np.ndarray, params: np.ndarray, J: np.ndarray) -> None:
 
 @borrowing
 def _taps(y: np.ndarray, params: np.ndarray, work: np.ndarray, z: np.ndarray) -> None:
-    """h of one channel: z (3, p) at y (d, p); work (6, p)."""
+    """h of one channel: z (3, p) at y (d, p); work (8, p)."""
     if y.shape[0] == 2:
         _differential(y, params, work, z)
     else:
@@ -199,51 +210,43 @@ def sin_cos(x: np.ndarray, s: np.ndarray, c: np.ndarray) -> None:
         c[i] = sign * (1.0 - 0.5 * q + q * q * u)
 
 
-@borrowing
-def correlation(d: float, lag1: float) -> float:
-    """R(d): linear between the code's own values at lags 0 and 1, flat beyond."""
-    return 1.0 - min(abs(d), 1.0) * (1.0 - lag1)
-
-
 @borrowing(fastmath=FAST_SUM)
 def _differential(y: np.ndarray, params: np.ndarray, work: np.ndarray, z: np.ndarray) -> None:
-    lag1, offset, half, spacing = params[0], params[1], params[2], params[3]
     p = y.shape[1]
-    x, s, c = work[0], work[1], work[2]
+    x, s, c, r, split = work[0], work[1], work[2], work[3], work[4]
+    to_x = np.pi / params[WAVELENGTH] * params[HALF]
+    early_late(y[0], params, r, split)
     for i in range(p):
-        turn = np.pi / WAVELENGTH_M * half * y[1, i]
+        turn = to_x * y[1, i]
         x[i] = turn if abs(turn) > TINY else TINY
     sin_cos(x, s, c)
     for i in range(p):
-        d = (y[0, i] + offset) * (1.0 / CHIP_M)
-        r = correlation(d, lag1)
-        loss = r * (s[i] / x[i]) ** 2
-        z[0, i] = r * loss * (c[i] * c[i] - s[i] * s[i])
-        z[1, i] = r * loss * 2.0 * c[i] * s[i]
-        z[2, i] = loss * (correlation(d - spacing, lag1) - correlation(d + spacing, lag1))
+        loss = r[i] * (s[i] / x[i]) ** 2
+        z[0, i] = r[i] * loss * (c[i] * c[i] - s[i] * s[i])
+        z[1, i] = r[i] * loss * 2.0 * c[i] * s[i]
+        z[2, i] = loss * split[i]
 
 
 @borrowing(fastmath=FAST_SUM)
 def _coherent(y: np.ndarray, params: np.ndarray, work: np.ndarray, z: np.ndarray) -> None:
-    lag1, offset, half, spacing = params[0], params[1], params[2], params[3]
     p = y.shape[1]
     x, s, c, phase, cos_x, sinc = work[0], work[1], work[2], work[3], work[4], work[5]
+    r, split = work[6], work[7]
+    to_x, per_m = np.pi / params[WAVELENGTH] * params[HALF], 2.0 * np.pi / params[WAVELENGTH]
+    early_late(y[0], params, r, split)
     for i in range(p):
-        turn = np.pi / WAVELENGTH_M * half * y[2, i]
+        turn = to_x * y[2, i]
         x[i] = turn if abs(turn) > TINY else TINY
-        phase[i] = 2.0 * np.pi / WAVELENGTH_M * y[1, i]
+        phase[i] = per_m * y[1, i]
     sin_cos(x, s, cos_x)
     for i in range(p):
         sinc[i] = s[i] / x[i]
     sin_cos(phase, s, c)
     for i in range(p):
-        d = (y[0, i] + offset) * (1.0 / CHIP_M)
-        r = correlation(d, lag1)
-        amplitude = r * sinc[i] * cos_x[i]  # sinc(2 x) = sinc(x) cos(x)
+        amplitude = r[i] * sinc[i] * cos_x[i]  # sinc(2 x) = sinc(x) cos(x)
         z[0, i] = amplitude * c[i]
         z[1, i] = amplitude * s[i]
-        split = correlation(d - spacing, lag1) - correlation(d + spacing, lag1)
-        z[2, i] = sinc[i] * sinc[i] * r * split
+        z[2, i] = sinc[i] * sinc[i] * r[i] * split[i]
 
 
 @borrowing(fastmath=FAST_SUM)
@@ -275,22 +278,22 @@ def _regress_coherent(
     for k in range(inner):
         total += table[0, k]
     share = total / table[0, 0]
-    turn = np.pi / WAVELENGTH_M * params[2]
+    turn, radian_m = np.pi / params[WAVELENGTH] * params[HALF], 2.0 * np.pi / params[WAVELENGTH]
+    ranges, r, split = rows[12], rows[13], rows[14]
     for i in range(n):
         for j in range(3):
             outer[j, i] = table[j, i * inner]
         outer[0, i] *= share
     for i in range(n):
-        x[i] = 2.0 * np.pi / WAVELENGTH_M * (y[1] + L[1, 0] * outer[1, i] + L[1, 1] * outer[2, i])
+        ranges[i] = y[0] + L[0, 0] * outer[1, i]
+        x[i] = radian_m * (y[1] + L[1, 0] * outer[1, i] + L[1, 1] * outer[2, i])
         rate[i] = turn * (y[2] + L[2, 0] * outer[1, i] + L[2, 1] * outer[2, i])
     sin_cos(x, sine, cosine)
-    lag1, spacing = params[0], params[3]
+    early_late(ranges, params, r, split)
     for i in range(n):
-        d = (y[0] + L[0, 0] * outer[1, i] + params[1]) * (1.0 / CHIP_M)
-        r = correlation(d, lag1)
-        a[i] = r * cosine[i]
-        b[i] = r * sine[i]
-        t[i] = r * (correlation(d - spacing, lag1) - correlation(d + spacing, lag1))
+        a[i] = r[i] * cosine[i]
+        b[i] = r[i] * sine[i]
+        t[i] = r[i] * split[i]
     rows[12:19] = 0.0
     for k in range(inner):
         at = (k + inner // 2) % inner  # from the middle one on, whose values are taken off
@@ -341,12 +344,6 @@ def _regress_coherent(
 
 
 @borrowing
-def _slope(d: float, lag1: float) -> float:
-    """dR/dd, zero at the kinks."""
-    return 0.0 if abs(d) >= 1.0 else -np.sign(d) * (1.0 - lag1)
-
-
-@borrowing
 def _sinc(x: float) -> float:
     return 1.0 - x * x / 6.0 if abs(x) < 1e-4 else np.sin(x) / x
 
@@ -362,39 +359,39 @@ def _sinc_slope(x: float) -> float:
 
 @borrowing
 def _jacobian_differential(y: np.ndarray, params: np.ndarray, J: np.ndarray) -> None:
-    lag1, offset, half, spacing = params[0], params[1], params[2], params[3]
-    d = (y[0] + offset) / CHIP_M
-    to_x = np.pi / WAVELENGTH_M * half
+    half, spacing, wavelength_m = params[HALF], params[SPACING], params[WAVELENGTH]
+    d = (y[0] + params[OFFSET]) / params[CHIP]
+    to_x = np.pi / wavelength_m * half
     x = to_x * y[1]
     s = _sinc(x)
     ds = _sinc_slope(x)
-    r = correlation(d, lag1)
-    split = correlation(d - spacing, lag1) - correlation(d + spacing, lag1)
-    split_slope = _slope(d - spacing, lag1) - _slope(d + spacing, lag1)
+    r = correlation(d, params)
+    split = correlation(d - spacing, params) - correlation(d + spacing, params)
+    split_slope = slope(d - spacing, params) - slope(d + spacing, params)
     c, q = np.cos(2.0 * x), np.sin(2.0 * x)
     J[:] = 0.0
     J[0, 1] = r * r * to_x * (2.0 * s * ds * c - 2.0 * s * s * q)
     J[1, 1] = r * r * to_x * (2.0 * s * ds * q + 2.0 * s * s * c)
-    J[2, 0] = s * s * r * split_slope / CHIP_M
+    J[2, 0] = s * s * r * split_slope / params[CHIP]
     J[2, 1] = 2.0 * s * ds * to_x * r * split
 
 
 @borrowing
 def _jacobian_coherent(y: np.ndarray, params: np.ndarray, J: np.ndarray) -> None:
-    lag1, offset, half, spacing = params[0], params[1], params[2], params[3]
-    d = (y[0] + offset) / CHIP_M
-    phase = 2.0 * np.pi * y[1] / WAVELENGTH_M
-    to_x = np.pi / WAVELENGTH_M * half
+    half, spacing, wavelength_m = params[HALF], params[SPACING], params[WAVELENGTH]
+    d = (y[0] + params[OFFSET]) / params[CHIP]
+    phase = 2.0 * np.pi * y[1] / wavelength_m
+    to_x = np.pi / wavelength_m * half
     x = to_x * y[2]
     s, s2 = _sinc(x), _sinc(2.0 * x)
-    r = correlation(d, lag1)
-    split = correlation(d - spacing, lag1) - correlation(d + spacing, lag1)
-    split_slope = _slope(d - spacing, lag1) - _slope(d + spacing, lag1)
+    r = correlation(d, params)
+    split = correlation(d - spacing, params) - correlation(d + spacing, params)
+    split_slope = slope(d - spacing, params) - slope(d + spacing, params)
     c, q = np.cos(phase), np.sin(phase)
     J[:] = 0.0
-    J[0, 1] = -r * s2 * q * 2.0 * np.pi / WAVELENGTH_M
-    J[1, 1] = r * s2 * c * 2.0 * np.pi / WAVELENGTH_M
+    J[0, 1] = -r * s2 * q * 2.0 * np.pi / wavelength_m
+    J[1, 1] = r * s2 * c * 2.0 * np.pi / wavelength_m
     J[0, 2] = r * c * _sinc_slope(2.0 * x) * 2.0 * to_x
     J[1, 2] = r * q * _sinc_slope(2.0 * x) * 2.0 * to_x
-    J[2, 0] = s * s * r * split_slope / CHIP_M
+    J[2, 0] = s * s * r * split_slope / params[CHIP]
     J[2, 2] = 2.0 * s * _sinc_slope(x) * to_x * r * split

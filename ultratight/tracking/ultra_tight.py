@@ -7,12 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from signals.codes import GPS_L1CA
 from signals.compiled import borrowing
 from signals.nco import Nco, Taps
 from ultratight.filters.gaussian import Filter, Gaussian, Measurement, Prediction, Update
 from ultratight.ins.error_state import Layout, ProcessNoise, transition_into
 from ultratight.ins.imu import Increments
+from ultratight.tracking.code_model import code_rows
 from ultratight.tracking.half_bits import Bits, HalfBits
 from ultratight.tracking.knows import Knows
 from ultratight.tracking.lock import LockMonitor
@@ -20,7 +20,6 @@ from ultratight.tracking.measurements import Amplitudes, measure
 from ultratight.tracking.rows import Fields, Rows
 from ultratight.tracking.steering import (
     N_NAVIGATION,
-    WAVELENGTH_M,
     feed_back,
     lever,
     start,
@@ -28,8 +27,6 @@ from ultratight.tracking.steering import (
     views,
 )
 
-HALF_BIT_CHIPS = 10_230
-HALF_BIT_S = 0.01
 ABSURD_SPEED_MPS = 2e4
 ABSURD_DRIFT_MPS = 4e4
 """Beyond what a scenario may ask for: an estimate there has nothing to do with a receiver"""
@@ -82,10 +79,12 @@ class UltraTight:
         self.steering, self.sky = start(knows, piece_s, settings.epoch_s)
         self.u_before = self.steering.u.copy()
         self.no_phase = np.zeros(n)
-        self.half_bits = HalfBits(n, 3)
-        self.lag1 = np.array([GPS_L1CA.autocorrelation(int(p))[1] for p in knows.prn])
+        facts = knows.channels
+        self.half_s, self.wavelength_m = facts.half_s, facts.wavelength_m
+        self.half_bits = HalfBits(facts, 3)
+        self.codes = code_rows(facts)
         self.amplitudes = Amplitudes(
-            2.0 * 10.0 ** (knows.cn0_dbhz / 10.0) * HALF_BIT_S, np.zeros(n, dtype=np.complex128)
+            2.0 * 10.0 ** (knows.cn0_dbhz / 10.0) * self.half_s, np.zeros(n, dtype=np.complex128)
         )
         self.lock = LockMonitor(n, settings.epoch_s)
         self.coherent = False
@@ -96,7 +95,7 @@ class UltraTight:
         self.events: list[tuple[float, int, str, str]] = []
         self.update: Update | None = None
         self.bits: Bits | None = None
-        self.dump_chips = np.full(n, HALF_BIT_CHIPS, dtype=np.int64)
+        self.dump_chips = facts.dump_chips
         self.valid = np.ones(n, dtype=np.bool_)
 
     def steer(self, t_end_s: float, imu: Increments) -> Nco:
@@ -151,8 +150,9 @@ class UltraTight:
     def _measurement(self, bits: Bits) -> Measurement:
         k, layout = self.knows, self.layout
         return measure(
-            bits, self.steering, self.t_s, layout.n, layout.phase.start, self.lag1,
-            self.spacing_chips, self.noise.clock_sf, self.amplitudes, k.data_bits, k.first_bit,
+            bits, self.steering, self.t_s, layout.n, layout.phase.start, self.codes,
+            k.channels.pilot, self.spacing_chips, self.noise.clock_sf, self.amplitudes,
+            k.data_bits, k.first_bit,
         )  # fmt: skip
 
     def _prediction(self) -> Prediction:
@@ -189,12 +189,12 @@ class UltraTight:
     def _hand_over(self) -> None:
         n = self.layout.n
         self.layout = Layout.build(n_phase=self.n_channel)
-        cov = np.eye(self.layout.n) * (WAVELENGTH_M / (2.0 * np.pi)) ** 2
+        radian_m = self.wavelength_m / (2.0 * np.pi)
+        cov = np.zeros((self.layout.n, self.layout.n))
         cov[:n, :n] = self.cov
+        cov[self.layout.phase, self.layout.phase] = np.diag(radian_m**2)
         self.cov = cov
-        self._feed_back(
-            np.zeros(n), -np.angle(self.amplitudes.prompt) * WAVELENGTH_M / (2.0 * np.pi)
-        )
+        self._feed_back(np.zeros(n), -np.angle(self.amplitudes.prompt) * radian_m)
         self.coherent = True
         self.filter.reset()
         self.lock.restart()
@@ -227,7 +227,7 @@ class UltraTight:
     @property
     def cn0_dbhz(self) -> np.ndarray:
         """Running estimate of C/N0 per channel, from the amplitude [dB-Hz]."""
-        return 10.0 * np.log10(self.amplitudes.amplitude2 / (2.0 * HALF_BIT_S))
+        return 10.0 * np.log10(self.amplitudes.amplitude2 / (2.0 * self.half_s))
 
     def fields(self) -> Fields:
         """What is kept of each epoch; the channels' phases are left out of ``covariance``."""
@@ -256,7 +256,8 @@ class UltraTight:
         nis, size, lam = (u.nis, u.innovation.size, u.lam) if u is not None else (np.nan,) * 3
         _write(
             rows.block[k], self.steering.buffer, self.cov, self.lock.indicator,
-            self.amplitudes.amplitude2, float(nis), float(size), float(lam), float(self.coherent),
+            self.amplitudes.amplitude2, self.half_s, float(nis), float(size), float(lam),
+            float(self.coherent),
         )  # fmt: skip
 
 
@@ -314,6 +315,7 @@ def _write(
     cov: np.ndarray,
     indicator: np.ndarray,
     amplitude2: np.ndarray,
+    half_s: np.ndarray,
     nis: float,
     n_measurement: float,
     lam: float,
@@ -332,4 +334,4 @@ def _write(
     n = indicator.size
     for i in range(n):
         row[at + i] = indicator[i]
-        row[at + n + i] = 10.0 * math.log10(amplitude2[i] / (2.0 * HALF_BIT_S))
+        row[at + n + i] = 10.0 * math.log10(amplitude2[i] / (2.0 * half_s[i]))
