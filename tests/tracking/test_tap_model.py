@@ -77,6 +77,6 @@ def test_sine_and_cosine_are_those_of_the_library():
 
 @pytest.mark.nojit
 def test_which_rules_have_an_inner_axis():
-    assert [RULES[name].inner(3) for name in ("gh3", "gh7", "gh3x7x3")] == [3, 7, 3]
+    assert [RULES[name].table(3)[1] for name in ("gh3", "gh7", "gh3x7x3")] == [3, 7, 3]
     for name in ("linearised", "cubature-projected", "unscented-projected"):
-        assert RULES[name].inner(3) == 1
+        assert RULES[name].table(3)[1] == 1

@@ -28,6 +28,7 @@ from ultratight.filters.conditioning import (
 from ultratight.filters.rules import Rule
 
 LOG_2PI = float(np.log(2.0 * np.pi))
+_contiguous, _FLOAT64 = np.ascontiguousarray, np.dtype(np.float64)
 
 
 class Gaussian(NamedTuple):
@@ -236,7 +237,7 @@ def update(
 
 def _matrix(array: np.ndarray) -> np.ndarray:
     """Contiguous float64, so that one compiled version serves all callers."""
-    return np.ascontiguousarray(array, dtype=np.float64)
+    return _contiguous(array, _FLOAT64)
 
 
 def _checked(gaussian: Gaussian, measurement: Measurement) -> tuple[Gaussian, Measurement]:
@@ -272,9 +273,10 @@ def _posterior(
     compiled = getattr(h, "condition", None)
     if compiled is not None and rule.block_diagonal:
         H, noise = np.empty((m, n)), np.empty(R.shape)
+        table, inner = rule.table(A.shape[1])
         nis = compiled(
-            rule.inner(A.shape[1]), prior.mean, prior.cov, density.mean, density.cov, z, A, R,
-            rule.table(A.shape[1]), nu, H, noise, mean, cov,
+            inner, prior.mean, prior.cov, density.mean, density.cov, z, A, R, table, nu, H, noise,
+            mean, cov,
         )  # fmt: skip
     else:
         zbar, H, Omega = rule.linearise(density, measurement)

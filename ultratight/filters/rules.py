@@ -66,7 +66,7 @@ class Rule:
             chain(J, A, H)
             return Linearisation(zbar.reshape(-1), H, np.zeros((nb, k, k)))
         projected = self.space == "projected"
-        table = self.table(d if projected else A.shape[2])
+        table, _ = self.table(d if projected else A.shape[2])
         place = _place_projected if projected else _place_full
         Y, root = place(mean, cov, A, table)
         Z = measurement.h(Y)
@@ -76,13 +76,12 @@ class Rule:
             return Linearisation(*_regress_projected(A, root, table, Z))
         return Linearisation(*_regress_full(root, table, Z))
 
-    def table(self, d: int) -> np.ndarray:
-        """`UnitPoints.table` in d dimensions; without columns where the rule has no points."""
-        return np.empty((d + 1, 0)) if self.points is None else unit_points(self.points, d).table
-
-    def inner(self, d: int) -> int:
-        """`UnitPoints.inner` in d dimensions."""
-        return 1 if self.points is None else unit_points(self.points, d).inner
+    def table(self, d: int) -> tuple[np.ndarray, int]:
+        """`UnitPoints` table and inner in d dimensions; a rule without points has no columns."""
+        if self.points is None:
+            return np.empty((d + 1, 0)), 1
+        points = unit_points(self.points, d)
+        return points.table, points.inner
 
     @property
     def block_diagonal(self) -> bool:
