@@ -87,7 +87,7 @@ def run(
 
 @app.command()
 def doctor(as_json: Json = False) -> None:
-    """Say which kernels run on this machine, and check them against the reference."""
+    """Say which kernels run here, and check them."""
     from ultratight import doctor as examiner
 
     told = examiner.examine()
