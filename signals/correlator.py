@@ -9,30 +9,33 @@ with carrier and code as the `Nco` commands them.  An integration begins and end
 sample whose NCO code phase is not below a multiple of ``dump_chips``; bounds are thus exact to
 the sample at any ratio of sampling and chip rate (4 MHz is 4000 samples per 1023 chips).
 
-The work is done in cells of samples that end at multiples of `SPAN` and at the ends of the pieces
-of the command: phases come anew in float64, sums inside a cell are float32, across cells float64.
+The work is done in cells of samples that end at multiples of the engine's span and at the ends of
+the pieces of the command: phases come anew in float64, sums inside a cell are float32, across
+cells float64.
 `signals.plan` says what is summed, an engine such as `signals.exact` fills the sums.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from importlib import import_module
 from typing import Literal
 
 import numpy as np
 
-from signals.exact import Exact
 from signals.nco import Nco, Taps
-from signals.plan import SPAN, Rows, State, Work, collect, plan, room
+from signals.plan import Rows, State, Work, collect, plan, room
 from signals.recording import IfSource
 from signals.replica import Replicas, replicas
 
 Method = Literal["exact", "integer", "binned"]
 
-_ENGINES: dict[str, Callable[[Replicas, np.ndarray], Callable[..., None]]] = {"exact": Exact}
+_ENGINES = {
+    "exact": ("signals.exact", "Exact"),
+    "integer": ("signals.correlator_integer", "Integer"),
+}
 _NCO_TYPES = (np.float64,) * 6 + (np.int64, np.bool_)
-_BLOCK = 64 * SPAN  # samples taken from the source at a time
+_BLOCK = 1 << 17  # samples taken from the source at a time
 _NO_INT8, _NO_FLOAT32 = np.empty(0, np.int8), np.empty(0, np.float32)
 
 
@@ -49,13 +52,24 @@ class SampleCorrelator:
     source : samples, see `IfSource`.
     chips : (n_channel, length) of +-1, or the `Replicas` of waveforms that change within a chip.
     offset_chips : (n_tap,) delay of each replica: negative is early, positive is late.
-    method : how the sums are made.
+    method : how the sums are made, see below.
     workers : threads, each with its share of the channels; the bits do not depend on them.
+
+    Notes
+    -----
+    ``exact``
+        float32; |error| / |tap| of noise-like taps 2e-6.  Everything else is measured against it.
+    ``integer``
+        int8 samples only, in 16-bit arithmetic: no overflow whatever they are, no bias.  The error
+        is noise of 0.6 % (45 dB below the tap's own), whatever the Doppler and the intermediate
+        frequency.  Twice as fast with AVX-512 VNNI, else slower than ``exact``: for long runs
+        where 2e-4 dB of C/N0 do not matter.
 
     Raises
     ------
     ValueError : shapes that disagree; when called, a command outside the samples, a chip rate that
-        is not positive or above the sampling rate, an integration below one chip.
+        is not positive or above the sampling rate, an integration below one chip, samples that the
+        method does not take.
     """
 
     def __init__(
@@ -86,7 +100,11 @@ class SampleCorrelator:
         self._work = Work(*(np.empty(0, np.int64),) * 4)
         self._end_sample = -1
         self._shares = np.linspace(0, n_channel, workers + 1).astype(int).tolist()
-        self._engines = [_ENGINES[method](chips, self.offset_chips) for _ in range(workers)]
+        module, name = _ENGINES[method]
+        engine = getattr(import_module(module), name)  # where it is used: kernels take time to load
+        self._engines = [engine(chips, self.offset_chips) for _ in range(workers)]
+        self._span = self._engines[0].span
+        self._block = max(_BLOCK // self._span, 1) * self._span
         self._pool = ThreadPoolExecutor(workers) if workers > 1 else None
 
     def __call__(self, nco: Nco) -> Taps:
@@ -105,10 +123,10 @@ class SampleCorrelator:
         self._end_sample = -1  # until all went well
         rows, sums = self._room(most, edge.size)
         while first < end:
-            b = min(first - first % SPAN + _BLOCK, end)
+            b = min(first - first % self._span + self._block, end)
             block = source.samples(first, b)
             work = self._work_for(b - first, most, edge.size)
-            n_cell = plan(first, b, fs, source.if_hz, nco, edge, state, rows, work)
+            n_cell = plan(first, b, self._span, fs, source.if_hz, nco, edge, state, rows, work)
             self._fill(block, n_cell, work, sums)
             first = b
         self._end_sample = end
@@ -128,7 +146,7 @@ class SampleCorrelator:
 
     def _work_for(self, n_samples: int, most: int, n_edge: int) -> Work:
         """Room for the parts of a block, the last one's if it is enough."""
-        n_channel, n_cell = len(self._state.sums), n_samples // SPAN + 1 + n_edge
+        n_channel, n_cell = len(self._state.sums), n_samples // self._span + 1 + n_edge
         n_part = n_cell + most
         if self._work.whole.shape[1:2] < (n_part,) or len(self._work.cells) < n_cell:
             self._work = Work(

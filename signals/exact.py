@@ -39,6 +39,8 @@ class Exact:
     offset_chips : (n_tap,) delay of each replica.
     """
 
+    span = SPAN
+
     def __init__(self, waveforms: Replicas, offset_chips: np.ndarray) -> None:
         # a cell's wiped I and Q, its I and Q; no vector lies across two cache lines
         size = 4 * (SPAN + _PAD)

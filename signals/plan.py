@@ -1,6 +1,6 @@
 """What a correlator sums, and what of it ends where: the command as a list of parts of cells.
 
-A cell is at most `SPAN` samples that end at a multiple of it or at the end of a piece of the
+A cell is at most ``span`` samples that end at a multiple of it or at the end of a piece of the
 command; carrier and code of a channel are re-based in float64 at its start.  A *part* of a cell
 belongs to one integration of one channel.  Engines fill the sums of the parts; no sample is
 touched here.
@@ -15,7 +15,7 @@ import numpy as np
 
 from signals.compiled import borrowing, kernel
 from signals.front_end import GUARD_SAMPLES
-from signals.lanes_correlator import PHASE_BITS, SPAN
+from signals.lanes_correlator import PHASE_BITS
 from signals.nco import Nco, Taps
 
 # columns of Work.cells
@@ -124,15 +124,15 @@ def _phases(line: Any, dt: float, n: int, start: int, sample_s: float, ratio: fl
 
 @borrowing
 def plan(
-    first: int, end: int, fs: float, if_hz: float, nco: Nco, edge: np.ndarray, state: State,
-    rows: Rows, work: Work,
+    first: int, end: int, span: int, fs: float, if_hz: float, nco: Nco, edge: np.ndarray,
+    state: State, rows: Rows, work: Work,
 ) -> int:  # fmt: skip
     """Fill ``work`` for samples first ... end - 1 and ``rows`` with what ends; number of cells."""
     n_cell = 0
     for p in range(edge.size - 1):
         start, stop = max(edge[p], first), min(edge[p + 1], end)
         while start < stop:
-            n = min(start - start % SPAN + SPAN, stop) - start
+            n = min(start - start % span + span, stop) - start
             work.cells[n_cell, FIRST] = start - first
             work.cells[n_cell, SAMPLES] = n
             work.cells[n_cell, PIECE] = p

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from signals.constants import CA_CHIP_RATE_HZ
-from signals.nco import Nco
+from signals.nco import Nco, Taps
 from signals.propagation import SignalState
+from signals.recording import Recording
+from signals.replica import Replicas
 
 CYCLES_PER_CHIP = 1540.0  # IS-GPS-200 3.3.1.1: 154 x 10.23 MHz over 1.023 Mcps
 
@@ -93,3 +95,29 @@ def command() -> Callable[..., Nco]:
         )
 
     return build
+
+
+@pytest.fixture(scope="session")
+def definition() -> Callable[..., np.ndarray]:
+    """Taps by their definition: every code index and every phase its own, in float64."""
+
+    def evaluate(
+        source: Recording, nco: Nco, waveforms: Replicas, offset_chips: np.ndarray, taps: Taps
+    ) -> np.ndarray:
+        fs, out = source.sample_rate_hz, np.empty(taps.iq.shape, complex)
+        starts = np.ceil(nco.t_s * fs - 1e-5)
+        for row, i in enumerate(taps.channel):
+            n = np.arange(round(taps.t_start_s[row] * fs), round(taps.t_end_s[row] * fs))
+            p = np.searchsorted(starts, n, side="right") - 1
+            dt = n / fs - nco.t_s[p]
+            x = nco.code_phase_chips[p, i] + nco.chip_rate_hz[p, i] * dt
+            cycles = nco.carrier_phase_cycles[p, i] % 1.0 + nco.carrier_freq_hz[p, i] * dt
+            cycles += 0.5 * nco.carrier_rate_hz_per_s[p, i] * dt**2 + source.if_hz * n / fs
+            samples = source.samples(n[0], n[-1] + 1).astype(float)
+            wiped = (samples[:, 0] + 1j * samples[:, 1]) * np.exp(-2j * np.pi * cycles)
+            period = waveforms.table[waveforms.first[i] :][: waveforms.length[i]].astype(float)
+            index = np.floor((x - offset_chips[:, None]) * waveforms.per_chip[i]).astype(int)
+            out[row] = period[index % period.size] @ wiped / (source.sigma * np.sqrt(n.size))
+        return out
+
+    return evaluate

@@ -9,8 +9,8 @@ from signals.codes import GPS_L1CA
 from signals.constants import C_MPS, CA_CHIP_RATE_HZ, GPS_L1_HZ
 from signals.correlator import SampleCorrelator
 from signals.front_end import SyntheticIf
+from signals.lanes_correlator import SPAN
 from signals.nco import Nco, Taps
-from signals.plan import SPAN
 from signals.recording import Recording
 
 FS = 4.0e6  # 4000 samples per 1023 chips: the awkward, commensurate case
