@@ -1,5 +1,5 @@
 # Everything works from a fresh clone: Python 3.11 to 3.14, git and make are all that is needed.
-.PHONY: help run test campaign receivers lint format clean
+.PHONY: help run test bench campaign receivers lint format clean
 .DEFAULT_GOAL := help
 
 VENV := .venv
@@ -9,6 +9,7 @@ STAMP := $(VENV)/.installed
 help:
 	@echo "make run       fly the velocity jump with three filters; figure and results in results/"
 	@echo "make test      lint, types, layers and all tests"
+	@echo "make bench     speed beside targets, limits, plain code and peers (a few minutes)"
 	@echo "make campaign  the tests with many seeds (some twenty minutes)"
 	@echo "make receivers gnss-sdr and RTKLIB, where installed, navigate with our files (minutes)"
 	@echo "make lint      lint, types and layers only"
@@ -54,6 +55,9 @@ lint: $(STAMP)
 test: lint
 	@NUMBA_DISABLE_JIT=1 $(PY) -m pytest -m nojit
 	@$(PY) -m pytest -m "not campaign and not receiver"
+
+bench: $(STAMP)
+	@$(PY) -m benchmarks --json results/bench.json
 
 campaign: $(STAMP)
 	@$(PY) -m pytest -m campaign

@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks import baselines, peers
 from benchmarks.harness import Case
-from benchmarks.scene import N_CHANNEL, Scene, make, error
+from benchmarks.scene import N_CHANNEL, Scene, error, make
 from signals import cpu
 from signals.correlator import SampleCorrelator
 
@@ -36,7 +36,8 @@ def _cases(scene: Scene, fs: float, dump_s: float) -> list[Case]:
     n_plain = round(0.002 * fs)
     cases = [
         Case(
-            "plain loop, float64, 3 taps", lambda: baselines.plain_correlator(scene, TAPS[3], n_plain),
+            "plain loop, float64, 3 taps",
+            lambda: baselines.plain_correlator(scene, TAPS[3], n_plain),
             N_CHANNEL * n_plain, UNIT, 1e-9,
         ),
         Case(
