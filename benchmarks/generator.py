@@ -12,6 +12,8 @@ from benchmarks.scene import N_CHANNEL, Scene, make, signal_state
 from signals import cpu
 from signals.front_end import SyntheticIf
 from signals.noise import complex_gaussian, stream_key
+from signals.propagation import SignalState
+from signals.vectors import body
 
 UNIT = "G satellite-samples/s"
 N_NOISE = 1_000_000
@@ -41,20 +43,19 @@ def _cases(fs: float) -> list[Case]:
 
 
 def _case(
-    name: str, scene: Scene, state: object, fs: float, noise: bool, target: float | None
+    name: str, scene: Scene, state: SignalState, fs: float, noise: bool, target: float | None
 ) -> Case:
-    source = SyntheticIf(state, scene.chips, fs, seed=1, noise=noise)  # type: ignore[arg-type]
-    n = source.end_sample
-    out = np.empty((n, 2), np.int8)
+    source = SyntheticIf(state, scene.chips, fs, seed=1, noise=noise)
+    n = source.end_sample - source.end_sample % 65_536
     return Case(
-        name, lambda: source.fill(0, out), N_CHANNEL * n, UNIT, 1e-9, target,
+        name, lambda: source.samples(0, n), N_CHANNEL * n, UNIT, 1e-9, target,
         baseline="plain loop, float64, no noise", peer=peers.GENERATOR[round(fs / 1e6)],
     )  # fmt: skip
 
 
 def _noise() -> list[Case]:
     key, rng = stream_key(1, "thermal"), np.random.default_rng(1)
-    out = np.empty((N_NOISE, 2), np.float32)
+    lanes, out = body(cpu.path()), np.empty((N_NOISE, 2), np.float32)
     return [
         Case(
             "numpy standard_normal, float32",
@@ -62,7 +63,7 @@ def _noise() -> list[Case]:
             N_NOISE, "M complex/s", 1e-6,
         ),
         Case(
-            "Philox, complex Gaussian", lambda: complex_gaussian(key, 0, out), N_NOISE,
+            "Philox, complex Gaussian", lambda: complex_gaussian(lanes, key, 0, out), N_NOISE,
             "M complex/s", 1e-6, 600.0 if cpu.path() == BEST else None,
             baseline="numpy standard_normal, float32", peer=peers.NOISE,
         ),
