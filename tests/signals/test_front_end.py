@@ -233,15 +233,17 @@ def test_a_few_samples():
     np.testing.assert_allclose(as_complex(coarse.samples(1000, 1050)), 24 * expected, atol=0.71)
 
 
-def test_no_stair_of_frequency_at_a_10_g_jump(path):
+@pytest.mark.parametrize("if_hz", [0.0, 1_234_567.0])
+def test_no_stair_of_frequency_at_a_10_g_jump(if_hz, path):
     """Frequency held over a block of 1 ms would err by 525 (1e-3)^2 / 2 = 2.6e-4 cycles; the chord
     over a sub-block of 256 samples errs by an eighth of 525 (64e-6)^2, 2.7e-7, and float32."""
     state = truth([1000.0])._replace(symbols=np.ones((1, 4), np.int8))
     ones = np.ones((1, 1023), np.int8)
-    source = SyntheticIf(state, ones, FS, 1, sample_format="float32", noise=False)
+    source = SyntheticIf(state, ones, FS, 1, if_hz=if_hz, sample_format="float32", noise=False)
     z = as_complex(source.samples(0, 80_000))
     t = np.arange(80_000) / FS
     phase = state.carrier_phase_cycles[0, 0, 0] + 1000.0 * t
+    phase += if_hz * t
     phase += 0.5 * 525.0 * np.maximum(t - 0.010, 0.0) ** 2
     error = np.angle(z * np.exp(-2j * np.pi * (phase % 1.0))) / (2 * np.pi)
     assert np.abs(error).max() < 2.7e-7 + 1.5e-7
