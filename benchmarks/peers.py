@@ -21,7 +21,6 @@ _POCKET = {
 GENERATOR = {4: "gps-sdr-sim 0.51, no noise", 25: "gps-sdr-sim 0.52, no noise"}
 NOISE = "numpy float32 PCG64 62, SFC64 68"
 FILTER = {6: "filterpy 20.8", 24: "filterpy 31.5"}
-IMPORT = ""
 
 
 def correlator(fs: float, dump_s: float, n_tap: int) -> str:
