@@ -1,4 +1,4 @@
-"""The taps as they are defined, sample by sample in float64: slow, and what kernels are held to."""
+"""Samples and taps as they are defined, in float64: slow, and what kernels are held to."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from signals.nco import Nco, Taps
+from signals.propagation import SignalState
 from signals.recording import IfSource
 
 
@@ -44,6 +45,33 @@ def taps_by_definition(
             index = np.floor((code - offset) * per_chip).astype(np.int64) % rows[i].size
             iq[row, k] = wiped @ rows[i][index] / (source.sigma * np.sqrt(n.size))
     return iq
+
+
+def samples_by_definition(
+    state: SignalState,
+    rows: Sequence[np.ndarray],
+    n: np.ndarray,
+    sample_rate_hz: float,
+    if_hz: float = 0.0,
+    symbol_chips: int = 20_460,
+) -> np.ndarray:
+    """Satellites alone (n.size,) complex at samples ``n``, for noise of unit variance in I and Q.
+
+    Equation (1) of `signals.front_end`; ``rows`` are the codes of the channels, one period each.
+    """
+    t = n / sample_rate_hz
+    piece = np.clip(np.searchsorted(state.t_s, t + 1e-12, "right") - 1, 0, state.t_s.size - 2)
+    powers = (t - state.t_s[piece])[:, None] ** np.arange(4)
+    total = np.zeros(n.size, np.complex128)
+    for i, row in enumerate(rows):
+        code = (state.code_phase_chips[i, piece] * powers).sum(axis=1)
+        turns = (state.carrier_phase_cycles[i, piece] * powers).sum(axis=1)
+        turns = turns - np.floor(turns) + np.mod(if_hz * t, 1.0)
+        size = np.sqrt(2.0 * 10.0 ** (0.1 * state.cn0_dbhz[i, piece]) / sample_rate_hz)
+        symbol = np.floor(code / symbol_chips).astype(np.int64) - state.first_symbol
+        chip = np.floor(code).astype(np.int64) % row.size
+        total += size * state.symbols[i, symbol] * row[chip] * np.exp(2j * np.pi * turns)
+    return total
 
 
 def relative_error(got: np.ndarray, wanted: np.ndarray) -> float:

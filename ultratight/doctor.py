@@ -15,10 +15,13 @@ from signals import compiled, cpu
 from signals.codes import GPS_L1CA
 from signals.constants import CA_CHIP_RATE_HZ
 from signals.correlator import SampleCorrelator
+from signals.front_end import SyntheticIf
 from signals.nco import Nco
-from signals.noise import philox
+from signals.noise import complex_gaussian, philox, stream_key
+from signals.propagation import SignalState
 from signals.recording import Recording
-from signals.reference import relative_error, taps_by_definition
+from signals.reference import relative_error, samples_by_definition, taps_by_definition
+from signals.vectors import Portable, body
 from ultratight.provenance import versions
 
 PHILOX_ZERO = (0x6627E8D5, 0xE169C58D, 0xBC57AC4C, 0x9B00DBD8)
@@ -72,7 +75,36 @@ def _checks() -> Iterator[Check]:
     words = philox(0, 0, 0, 0, 0, 0)
     wrong = sum(int(a) != b for a, b in zip(words, PHILOX_ZERO, strict=True))
     yield Check("Philox4x32-10, words unlike the published ones", float(wrong), 0.0)
+    yield Check("generator against float64, exact index and phase", _generator_error(), 2e-6)
+    yield Check("noise, samples unlike those of the plain path", _noise_difference(), 0.0)
     yield Check("correlator against float64, exact index and phase", _correlator_error(), 2e-6)
+
+
+def _generator_error() -> float:
+    """Two milliseconds of two satellites at 4.1 Msps and IF 0.3 MHz, without noise."""
+    fs, if_hz, n = 4.1e6, 0.3e6, np.arange(8200)
+    chips = np.stack([GPS_L1CA.chips(prn) for prn in (3, 31)])
+    doppler = np.array([3300.0, -2700.0])
+    code, carrier = np.zeros((2, 1, 4)), np.zeros((2, 1, 4))
+    code[:, 0, 0], code[:, 0, 1] = (500.2, 19_800.7), CA_CHIP_RATE_HZ + doppler / 1540.0
+    carrier[:, 0, 0], carrier[:, 0, 1], carrier[:, 0, 2] = 0.4, doppler, 150.0
+    state = SignalState(
+        np.array([0.0, n.size / fs]), code, carrier, np.full((2, 1), 45.0),
+        np.ones((2, 1), np.bool_), np.array([[1, -1], [-1, 1]], np.int8), 0,
+    )  # fmt: skip
+    source = SyntheticIf(state, chips, fs, 1, if_hz=if_hz, sample_format="float32", noise=False)
+    pairs = source.samples(0, n.size).astype(np.float64)
+    wanted = samples_by_definition(state, list(chips), n, fs, if_hz)
+    return relative_error(pairs[:, 0] + 1j * pairs[:, 1], wanted)
+
+
+def _noise_difference() -> float:
+    """How many of 8192 numbers differ in any bit."""
+    key = stream_key(1, "doctor")
+    here, plain = np.empty((4096, 2), np.float32), np.empty((4096, 2), np.float32)
+    complex_gaussian(body(cpu.path()), key, 7 * 4096, here)
+    complex_gaussian(Portable(), key, 7 * 4096, plain)
+    return float((here.view(np.uint32) != plain.view(np.uint32)).sum())
 
 
 def _correlator_error() -> float:
