@@ -15,6 +15,7 @@ from ultratight.options import (
     Closure,
     Correlator,
     FilterName,
+    Interrupted,
     Json,
     Measurement,
     Navigation,
@@ -288,11 +289,14 @@ def _failure(error: BaseException) -> tuple[int, str, list[str]] | None:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command and return its exit code: 0 done, 1 failed, 2 bad input, 130 interrupted."""
     given = list(sys.argv[1:] if arguments is None else arguments) or ["--help"]
+    left = "nothing half-written is left"
     try:
         # typer itself turns an interrupt into this code, or into Abort, by version
         code = int(app(given, prog_name="ultratight", standalone_mode=False) or DONE)
     except (KeyboardInterrupt, typer.Abort):
         code = INTERRUPTED
+    except Interrupted as interrupt:
+        code, left = INTERRUPTED, str(interrupt)
     except Exception as error:
         failure = _failure(error)
         if failure is None:
@@ -303,7 +307,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if "--json" in given:
             print(json.dumps({"error_kind": kind, "message": "\n".join(lines)}))
     if code == INTERRUPTED:
-        print("interrupted, nothing half-written is left", file=sys.stderr)
+        print(f"interrupted, {left}", file=sys.stderr)
     return code
 
 

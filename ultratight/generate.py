@@ -4,23 +4,20 @@ The truth is made in windows of one second from the start of the run and the sam
 that memory does not grow with the length of the file.  Windows are part of the definition: a
 longer file begins with the bits of a shorter one, whatever the number of threads.
 
-Satellites are those with a healthy set of ephemerides at the start.  Each is received while it
-is at or above the mask, which is looked at once per window; one that rises later is in the file
-from then on.  A set serves until 2 h from its toe: a longer file is refused.
-
 Nothing carries its final name before it is whole: files are written as NAME.partial and renamed
-at the end, the description last.
+at the end, the description last.  A run that is cut short leaves whole seconds and a journal of
+them, see `if_parts`, and the next goes on: noise and truth are functions of absolute time, so that
+its place is all that it needs to know.
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 import os
 import shutil
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,22 +25,22 @@ import numpy as np
 
 from signals.constants import CA_CHIP_RATE_HZ, GPS_L1_HZ
 from signals.propagation import SignalState
-from signals.sample_formats import VALUES_PER_BYTE, FileFormat, encode, file_format
+from signals.sample_formats import FileFormat, file_format
 from signals.sigmf_files import Description, paths, write_description
-from ultratight import sky
 from ultratight.config import InvalidInput
+from ultratight.if_parts import Kept, Parts, Places, read_journal
 from ultratight.if_source import blocks, if_source
-from ultratight.if_truth import ROW_S, TruthFile, TruthRows
+from ultratight.if_truth import ROW_S, TruthFile, TruthRows, rows_of, table_of, width
+from ultratight.if_world import WINDOW_S, FileWorld
 from ultratight.ins.earth import geodetic_from_ecef
-from ultratight.provenance import provenance
+from ultratight.provenance import provenance, sources_sha256
 from ultratight.results import check_writable
 from ultratight.scenario import PRESETS, Scenario, load
 from ultratight.world import NODE_S, World
 
-WINDOW_S = 1.0
 _NODES_PER_WINDOW = round(WINDOW_S / NODE_S)
 _NODES_PER_ROW = round(ROW_S / NODE_S)
-_LOOK_S = 30.0
+_ROWS_PER_WINDOW = _NODES_PER_WINDOW // _NODES_PER_ROW
 OPEN_SKY_DBHZ = 45.0
 _SPARE_BYTES = 50_000_000
 
@@ -98,61 +95,6 @@ def _start(text: str) -> dict[str, float]:
     raise InvalidInput(f"--start: {text} given, expected WEEK:TOW, e.g. 2149:475220")
 
 
-class FileWorld(World):
-    """The world of an IF file: satellites rise and set; see the module."""
-
-    def _choose_satellites(self) -> None:
-        s = self.scenario
-        if s.signals != ("L1CA",):
-            raise InvalidInput(
-                f"signals: {', '.join(s.signals)} given, expected L1CA: files hold no other yet"
-            )
-        self.sky = sky.constellation(s)
-        t = np.unique(np.append(np.arange(0.0, s.duration_s, _LOOK_S), s.duration_s))
-        seen = {p: self._highest(p, t) for p in self.sky.prn.tolist() if _wanted(s, p)}
-        up = {p: e for p, e in seen.items() if e >= s.mask_deg}
-        order = sorted(up, key=lambda p: (-up[p], p))[: s.max_satellites]
-        if not order:
-            raise InvalidInput(
-                f"mask_deg: no satellite of {s.constellation} at or above {s.mask_deg:g} deg at "
-                f"any time{sky.other_sky(s)}"
-            )
-        self.prn = np.array(sorted(order))
-        self._check_ages()
-        prn, rows = self.sky.select(s.start_week, s.start_tow_s)
-        self._name_channels(self.prn, rows[np.searchsorted(prn, self.prn)])
-
-    def _highest(self, prn: int, t_s: np.ndarray) -> float:
-        """Highest elevation [deg] at those of the times at which the set of the start serves."""
-        t = t_s[t_s < sky.valid_until_s(self.sky, prn, self.scenario)]
-        return float(np.degrees(self.look(prn, t)[0].max())) if t.size else -90.0
-
-    def _check_ages(self) -> None:
-        s = self.scenario
-        until = {p: sky.valid_until_s(self.sky, p, s) for p in self.prn.tolist()}
-        first = min(until, key=lambda p: until[p])
-        if until[first] < s.duration_s + 2.0 * WINDOW_S:
-            most = math.floor(until[first] - 2.0 * WINDOW_S)
-            raise InvalidInput(
-                f"duration_s: {s.duration_s:g} given, expected at most {most}: the ephemeris of "
-                f"G{first:02d} at the start is then 2 h from its toe"
-            )
-
-    def look(self, prn: int, t_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Elevation and azimuth (n,) [rad] of a satellite at receiver times (n,)."""
-        s, r = self.scenario, self.antenna(t_s)[0]
-        return sky.look(self.sky, prn, s.start_week, s.start_tow_s + self.true_time(t_s), r)
-
-    def look_all(self, t_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Elevation and azimuth (n, n_channel) [rad] of the channels."""
-        both = [self.look(p, t_s) for p in self.prn.tolist()]
-        return np.stack([b[0] for b in both], axis=1), np.stack([b[1] for b in both], axis=1)
-
-
-def _wanted(s: Scenario, prn: int) -> bool:
-    return s.prns is None or prn in s.prns
-
-
 class Plan(NamedTuple):
     """What is to be written, checked."""
 
@@ -165,6 +107,11 @@ class Plan(NamedTuple):
     samples: Path
     metadata: Path
     truth: Path
+    places: Places
+    made: dict[str, Any]
+    """What the samples and the truth of any second depend on"""
+    kept: Kept
+    """By an earlier run"""
 
 
 def plan(
@@ -175,15 +122,18 @@ def plan(
     duration_s: float,
     form: str = "ci8",
     rms: float | None = None,
+    fresh: bool = False,
 ) -> Plan:
     """Check everything that can be checked before the work.
 
-    The scenario must run at least as long as ``duration_s``.
+    The scenario must run at least as long as ``duration_s``.  What an earlier run has left is gone
+    on with, or is written over where ``fresh``.
 
     Raises
     ------
     InvalidInput, ValueError
-        A scenario, format, r.m.s. or place that cannot be used.
+        A scenario, format, r.m.s. or place that cannot be used; an earlier run has left another
+        file there.
     OSError
         Not enough room on the disk.
     """
@@ -201,30 +151,85 @@ def plan(
     world = FileWorld(scenario, seed)
     first = if_source(world, world.signal_between(0, 1), kind, rms)  # refuses what cannot be
     n = round(duration_s * f.sample_rate_hz)
-    made = Plan(world, kind, rms, first.sigma, n, duration_s, data, meta, truth)
-    truth_bytes = _n_row(made) * (8 * len(world.prn) * 6 + 100)
-    need = kind.n_bytes(n) + truth_bytes + _SPARE_BYTES
+    places, made = Places.of(out, data), _made(world, kind, rms)
+    kept = Kept() if fresh else read_journal(places, made)
+    if kept.n_samples > n:
+        raise InvalidInput(
+            f"--duration: {duration_s:g} given, expected at least the {kept.seconds} s that "
+            f"{places.samples.name} has, or --fresh to start anew"
+        )
+    p = Plan(world, kind, rms, first.sigma, n, duration_s, data, meta, truth, places, made, kept)
+    # the truth stands there twice while its file is made of its rows
+    truth_bytes = 2 * 8 * width(len(world.prn)) * _n_row(p)
+    need = kind.n_bytes(n) + truth_bytes + _SPARE_BYTES - kept.samples[0] - kept.rows[0]
     free = shutil.disk_usage(data.parent).free
     if need > free:
         raise OSError(f"{data}: needs {need / 1e9:.3g} GB, {free / 1e9:.3g} GB are free there")
-    return made
+    return p
+
+
+def _made(world: FileWorld, form: FileFormat, rms: float | None) -> dict[str, Any]:
+    """`Plan.made`: not the duration, as a longer file begins with the bits of a shorter one."""
+    s = world.scenario
+    tree = s.to_dict() | {key: f"sha256:{sha}" for key, sha in s.files_sha256().items()}
+    # a last segment that reaches the end of the run holds beyond it
+    duration_s, *_ = (tree.pop(key, None) for key in ("duration_s", "name", "title", "why"))
+    lasts = bool(s.profile) and s.profile[-1].t1_s >= duration_s - 1e-9
+    where = provenance(s, world.seed)
+    return {
+        "seed": world.seed,
+        "format": form.name,
+        "rms": rms,
+        **_flat(tree),
+        "profile_lasts": lasts,
+        "prns": world.prn.tolist(),
+        "cpu_path": where["cpu_path"],
+        "machine": where["machine"],
+        **where["versions"],
+        "sources_sha256": sources_sha256(),
+    }
+
+
+def _flat(tree: dict[str, Any], above: str = "") -> dict[str, Any]:
+    """Keys with dots, so that what differs can be named."""
+    flat: dict[str, Any] = {}
+    for key, value in tree.items():
+        flat |= _flat(value, f"{above}{key}.") if isinstance(value, dict) else {above + key: value}
+    return flat
 
 
 def generate(p: Plan, progress: Callable[[float], None] | None = None) -> dict[str, Any]:
     """Write the files of a plan; returns what `ultratight generate --json` prints.
 
-    On any failure, an interrupt included, nothing of them is left.
+    On any failure, an interrupt included, whole seconds are kept and said to be: in an OSError's
+    message, or as what a KeyboardInterrupt carries.  If there are none nothing is left.
     """
-    parts = [path.with_name(f"{path.name}.partial") for path in (p.samples, p.truth)]
+    truth = p.truth.with_name(f"{p.truth.name}.partial")
+    _take_back(p)
+    parts = Parts(p.places, p.form, p.made, p.kept)
     try:
-        sha512 = _write(p, parts[0], parts[1], progress)
-        os.replace(parts[0], p.samples)
-        os.replace(parts[1], p.truth)
+        sha512 = _write(p, parts, progress)
+        _write_truth(p, parts, truth)
+        parts.close()
+        p.metadata.unlink(missing_ok=True)  # an older one would describe the new samples
+        os.replace(p.places.samples, p.samples)
+        os.replace(truth, p.truth)
         write_description(p.metadata, _description(p, sha512))
-    finally:
-        for part in parts:
-            with suppress(OSError):
-                part.unlink(missing_ok=True)
+    except BaseException as error:
+        with suppress(OSError):
+            truth.unlink(missing_ok=True)
+        if not (seconds := parts.stop()):
+            raise
+        kept = (
+            f"{p.places.samples.name} keeps {seconds} s of {p.duration_s:g} s: the same command "
+            "goes on there, --fresh starts anew"
+        )
+        if isinstance(error, OSError):
+            raise OSError(f"{error}; {kept}") from error
+        if isinstance(error, KeyboardInterrupt):
+            raise KeyboardInterrupt(kept) from None
+        raise
+    parts.remove()
     s = p.world.scenario
     return {
         "samples": str(p.samples),
@@ -245,20 +250,38 @@ def generate(p: Plan, progress: Callable[[float], None] | None = None) -> dict[s
     }
 
 
-def _write(p: Plan, data: Path, truth: Path, progress: Callable[[float], None] | None) -> str:
+def _take_back(p: Plan) -> None:
+    """Samples that got their name from a run that ended before their description had its own."""
+    if p.kept.seconds and not p.places.samples.exists() and not p.metadata.exists():
+        with suppress(FileNotFoundError):
+            os.replace(p.samples, p.places.samples)
+
+
+def _write(p: Plan, parts: Parts, progress: Callable[[float], None] | None) -> str:
     """Samples and truth, window by window; returns the SHA-512 of the samples."""
-    with ExitStack() as stack:
-        samples = stack.enter_context(_Samples(data, p.form))
-        rows = stack.enter_context(TruthFile(truth, _n_row(p), p.world.names, _facts(p)))
-        rows.write_bits(*p.world.symbols)
-        for state, first_node in _windows(p):
-            rows.write(_rows(p.world, state, first_node))
-            source = if_source(p.world, state, p.form, p.rms)
-            for block in blocks(source, p.n_samples):
-                samples.write(block)
-                if progress is not None:
-                    progress(samples.n_samples / p.n_samples)
-        return samples.finish()
+    for state, first_node in _windows(p):
+        rows = _rows(p.world, state, first_node)
+        parts.write_rows(table_of(rows))
+        source = if_source(p.world, state, p.form, p.rms)
+        for block in blocks(source, p.n_samples):
+            parts.write(block)
+            if progress is not None:
+                progress(parts.n_samples / p.n_samples)
+        if len(rows.t_s) == _ROWS_PER_WINDOW and parts.n_samples == source.end_sample:
+            parts.whole(first_node // _NODES_PER_WINDOW + 1)
+    return parts.finish()
+
+
+def _write_truth(p: Plan, parts: Parts, path: Path) -> None:
+    """The truth's file from its rows, on the disk."""
+    n_channel, first = len(p.world.prn), 0
+    with TruthFile(path, _n_row(p), p.world.names, _facts(p)) as file:
+        file.write_bits(*p.world.symbols)
+        for table in parts.rows(width(n_channel)):
+            file.write(rows_of(table, first, n_channel))
+            first += len(table)
+    with path.open("rb+") as written:
+        os.fsync(written.fileno())
 
 
 def _n_row(p: Plan) -> int:
@@ -267,10 +290,13 @@ def _n_row(p: Plan) -> int:
 
 
 def _windows(p: Plan) -> Iterator[tuple[SignalState, int]]:
-    """The truth of each window and its first node; the last ends with the last row's piece."""
+    """The truth of each window that is not kept, and its first node.
+
+    The last ends with the last row's piece.
+    """
     end = (_n_row(p) - 1) * _NODES_PER_ROW + 1
     w = p.world
-    for first in range(0, end, _NODES_PER_WINDOW):
+    for first in range(p.kept.seconds * _NODES_PER_WINDOW, end, _NODES_PER_WINDOW):
         up = w.look_all(w.t_s[first : first + 1])[0][0] >= math.radians(w.scenario.mask_deg)
         yield w.signal_between(first, min(first + _NODES_PER_WINDOW, end), up), first
 
@@ -353,41 +379,3 @@ def _description(p: Plan, sha512: str) -> Description:
             "prns": w.prn.tolist(),
         },
     )
-
-
-class _Samples:
-    """A file of samples under way; packed formats carry what does not fill a byte to the next."""
-
-    def __init__(self, path: Path, form: FileFormat) -> None:
-        self._form, self._sha = form, hashlib.sha512()
-        shape = (0,) if form.real else (0, 2)
-        self._rest: np.ndarray = np.empty(shape, np.int8)
-        self.n_samples = 0
-        self._file = path.open("wb")
-
-    def __enter__(self) -> _Samples:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._file.close()
-
-    def write(self, samples: np.ndarray) -> None:
-        self.n_samples += len(samples)
-        if self._form.packed:
-            samples = np.concatenate([self._rest, samples])
-            whole = len(samples) - len(samples) % (VALUES_PER_BYTE // self._form.components)
-            samples, self._rest = samples[:whole], samples[whole:]
-        self._put(samples)
-
-    def finish(self) -> str:
-        """Write what is left; the SHA-512 of all."""
-        if len(self._rest):
-            self._put(self._rest)
-        self._file.flush()
-        os.fsync(self._file.fileno())
-        return self._sha.hexdigest()
-
-    def _put(self, samples: np.ndarray) -> None:
-        stored = encode(samples, self._form).view(np.uint8).reshape(-1).data
-        self._file.write(stored)
-        self._sha.update(stored)

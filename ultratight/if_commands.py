@@ -3,12 +3,22 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from ultratight.options import Json, Navigation, Override, Quiet, Seed, Source, progress
+from ultratight.options import (
+    Json,
+    Navigation,
+    Override,
+    Quiet,
+    Seed,
+    Source,
+    interruptible,
+    progress,
+)
 
 
 def generate(
@@ -36,6 +46,9 @@ def generate(
     changes: Override = None,
     nav: Navigation = None,
     seed: Seed = 1,
+    fresh: Annotated[
+        bool, typer.Option("--fresh", help="start anew: leave out what a cut short run has kept")
+    ] = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -44,15 +57,20 @@ def generate(
     Samples are I + jQ, I first; a carrier above the centre of the file turns counter-clockwise,
     positive Doppler raises it, L1 stands at --if-hz. The data bits are the navigation message of
     the constellation. A preset is taken with 45 dB-Hz, unless --set cn0_dbhz says otherwise.
+    What was cut short goes on by the same command, to the same files.
     """
     from ultratight import generate as files
 
-    chosen = files.scenario_for(
-        source, changes or [], duration, rate, if_hz, start, trajectory, nav
-    )
-    plan = files.plan(chosen, seed, out, duration_s=duration, form=form, rms=rms)
-    with progress(f"writing {plan.samples.name}", quiet) as report:
-        made = files.generate(plan, report)
+    with interruptible():
+        chosen = files.scenario_for(
+            source, changes or [], duration, rate, if_hz, start, trajectory, nav
+        )
+        plan = files.plan(chosen, seed, out, duration_s=duration, form=form, rms=rms, fresh=fresh)
+        if plan.kept.seconds and not quiet:
+            name = plan.places.samples.name
+            print(f"{name}: goes on after {plan.kept.seconds} s", file=sys.stderr)
+        with progress(f"writing {plan.samples.name}", quiet) as report:
+            made = files.generate(plan, report)
     if as_json:
         print(json.dumps(made))
     elif not quiet:

@@ -65,6 +65,35 @@ class TruthRows(NamedTuple):
     azimuth: np.ndarray
 
 
+def width(n_channel: int) -> int:
+    """Numbers in a row."""
+    return sum(_widths(n_channel).values())
+
+
+def _widths(n_channel: int) -> dict[str, int]:
+    size = {"xyz": 3, "geodetic": 3, "channel": n_channel}
+    return {name: size[dims[1]] if dims[1:] else 1 for name, (dims, _, _) in _VARIABLES.items()}
+
+
+def table_of(rows: TruthRows) -> np.ndarray:
+    """Rows as numbers, (n, width)."""
+    n = len(rows.t_s)
+    return np.concatenate([getattr(rows, name).reshape(n, -1) for name in _VARIABLES], axis=1)
+
+
+def rows_of(table: np.ndarray, first: int, n_channel: int) -> TruthRows:
+    """The rows of `table_of`, the first of which has the number ``first``."""
+    widths = _widths(n_channel)
+    columns = np.split(table, np.cumsum(list(widths.values()))[:-1], axis=1)
+    return TruthRows(
+        first=first,
+        **{
+            name: column if _VARIABLES[name][0] != _SAMPLE else column[:, 0]
+            for name, column in zip(widths, columns, strict=True)
+        },
+    )
+
+
 class TruthFile:
     """A truth file under way.
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -42,6 +44,26 @@ def _whole(given: str | int) -> int:
 Seed = Annotated[
     int, typer.Option("--seed", parser=_whole, metavar="N", help="seed of every random stream")
 ]
+
+
+class Interrupted(Exception):
+    """An interrupt after which there is something to say, in one line."""
+
+
+@contextmanager
+def interruptible() -> Iterator[None]:
+    """What ends a job from outside (SIGTERM) is an interrupt; one that says something is told."""
+    main = threading.current_thread() is threading.main_thread()
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler) if main else None
+    try:
+        yield
+    except KeyboardInterrupt as interrupt:
+        if interrupt.args:
+            raise Interrupted(*interrupt.args) from None
+        raise
+    finally:
+        if main:
+            signal.signal(signal.SIGTERM, before)
 
 
 @contextmanager

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
 import platform
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 from typing import Any
 
 from llvmlite import binding
 from numba.core import config as numba_config
 
+import signals
 from signals import cpu
 from ultratight.scenario import Scenario
 
@@ -44,6 +47,15 @@ def cpu_path() -> str:
     if path == "python":
         return path
     return f"{path}:{numba_config.CPU_NAME or binding.get_host_cpu_name()}"
+
+
+def sources_sha256() -> str:
+    """SHA-256 of all our sources: a version alone does not tell two states of a work tree apart."""
+    digest = hashlib.sha256()
+    for root in (Path(signals.__file__).parent, Path(__file__).parent):
+        for path in sorted(root.rglob("*.py")):
+            digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()
 
 
 def _version(package: str) -> str:
