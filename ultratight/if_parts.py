@@ -25,7 +25,7 @@ from ultratight.config import InvalidInput
 
 MARK = "ultratight-if-journal-1"
 KEEP_EVERY_S = 1.0
-"""Work that a kill can cost; waiting for the disk each second of the file would cost a fifth"""
+"""Work that kill -9 can cost: to wait for the disk each second of the file would slow it down"""
 _ANEW = "expected the same command, or --fresh to start anew"
 _CHUNK = 1 << 22
 _ROWS = 3_000
