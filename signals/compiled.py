@@ -148,3 +148,14 @@ def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
 borrowing: Any = partial(kernel, _nrt=False)
 """`kernel` for functions that neither own nor return an array: counting references to arguments, an
 atomic operation each, would cost more than much of the arithmetic"""
+
+
+def seal(kernel: Any) -> bool:
+    """Let a kernel that has run raise TypeError where it would now be compiled for other types.
+
+    A sealed kernel checks types and layout of its arrays, at no cost.  False: it is plain Python.
+    """
+    if not hasattr(kernel, "disable_compile"):
+        return False
+    kernel.disable_compile()
+    return True

@@ -23,8 +23,9 @@ from typing import Literal
 
 import numpy as np
 
+from signals.compiled import seal
 from signals.nco import Nco, Taps
-from signals.plan import Rows, State, Work, collect, plan, room
+from signals.plan import NO_ROOM, NOWHERE, REFUSED, Planned, Rows, State, Work, collect, plan
 from signals.recording import IfSource
 from signals.replica import Replicas, replicas
 
@@ -36,6 +37,8 @@ _ENGINES = {
 }
 _NCO_TYPES = (np.float64,) * 6 + (np.int64, np.bool_)
 _BLOCK = 1 << 17  # samples taken from the source at a time
+_UNKNOWN: Planned = 0, 0, 0, REFUSED, 0
+_INT8 = np.dtype(np.int8)
 _NO_INT8, _NO_FLOAT32 = np.empty(0, np.int8), np.empty(0, np.float32)
 
 
@@ -91,80 +94,93 @@ class SampleCorrelator:
                 raise ValueError(f"chips are {np.shape(chips)}: expected (n_channel, length)")
             chips = replicas(list(chips))
         n_channel, n_tap = chips.first.size, self.offset_chips.size
-        self._source = source
-        self._state = State(
-            np.zeros((n_channel, 6), np.int64),
-            np.zeros((n_channel, 2)),
-            np.zeros((n_channel, n_tap, 2)),
-        )
-        self._work = Work(*(np.empty(0, np.int64),) * 4)
-        self._end_sample = -1
+        self._source, self._n_channel = source, n_channel
         self._shares = np.linspace(0, n_channel, workers + 1).astype(int).tolist()
         module, name = _ENGINES[method]
         engine = getattr(import_module(module), name)  # where it is used: kernels take time to load
         self._engines = [engine(chips, self.offset_chips) for _ in range(workers)]
+        self._pool = ThreadPoolExecutor(workers) if workers > 1 else None
         self._span = self._engines[0].span
         self._block = max(_BLOCK // self._span, 1) * self._span
-        self._pool = ThreadPoolExecutor(workers) if workers > 1 else None
+        self._end_sample = NOWHERE
+        self._state = State(np.zeros((n_channel, 6), np.int64), np.zeros((n_channel, 2)))
+        self._sums = np.zeros((n_channel, 1, n_tap, 2))
+        self._most = 0, 0, 0
+        self._grow(2, 0, self._span)
+        self._is_sealed = False
 
     def __call__(self, nco: Nco) -> Taps:
         """Correlate over all pieces of the command; return the integrations that ended."""
-        source, state = self._source, self._state
-        fs = source.sample_rate_hz
-        nco = Nco(*(np.ascontiguousarray(a, t) for a, t in zip(nco, _NCO_TYPES, strict=True)))
-        self._check(nco)
-        edge = np.empty(nco.t_s.size, np.int64)
-        most = room(nco, fs, edge)
-        if most < 0:
-            raise ValueError(_what_is_wrong(nco, fs))
-        first, end = int(edge[0]), int(edge[-1])
-        if first != self._end_sample:
-            state.position[:, 0] = 0
-        self._end_sample = -1  # until all went well
-        rows, sums = self._room(most, edge.size)
-        while first < end:
-            b = min(first - first % self._span + self._block, end)
-            block = source.samples(first, b)
-            work = self._work_for(b - first, most, edge.size)
-            n_cell = plan(first, b, self._span, fs, source.if_hz, nco, edge, state, rows, work)
-            self._fill(block, n_cell, work, sums)
-            first = b
+        source = self._source
+        setting = self._block, self._span, float(source.sample_rate_hz), float(source.if_hz)
+        planned = _UNKNOWN
+        try:
+            if self._is_sealed:
+                planned = plan(NOWHERE, self._end_sample, *setting, *nco, *self._memory)
+        except TypeError:  # arrays that the kernel does not take as they are
+            planned = _UNKNOWN
+        if planned[3] < 0:
+            nco = self._checked(nco)
+            planned = self._begin(nco, setting)
+        first, stop, end, n_cell, n_row = planned
+        self._end_sample = NOWHERE  # until all went well
+        while n_cell > 0:
+            self._fill(source.samples(first, stop), n_cell)
+            if stop == end:
+                break
+            first, stop, end, n_cell, n_row = plan(stop, NOWHERE, *setting, *nco, *self._memory)
+        whole, real = np.empty((2, n_row), np.int64), np.empty((7, n_row))
+        iq = np.empty((n_row, self.offset_chips.size), np.complex128)
+        collect(setting[2], float(source.sigma), *self._ended, whole, real, iq)
         self._end_sample = end
-        return collect(rows, sums, state, fs, source.sigma)
-
-    def _room(self, most: int, n_edge: int) -> tuple[Rows, np.ndarray]:
-        """Room for what ends; sums for all that is begun, the first of which goes on."""
-        n_channel, n_tap, _ = self._state.sums.shape
-        rows = Rows(
-            np.zeros(n_channel, np.int64),
-            np.empty((n_channel, most, 4), np.int64),
-            np.empty((n_channel, most, 4)),
+        channel, number = whole
+        t_start_s, t_end_s, variance, code, code_end, carrier, carrier_end = real
+        return Taps(
+            channel, number, t_start_s, t_end_s, iq, variance, code, code_end, carrier, carrier_end
         )
-        sums = np.zeros((n_channel, most + n_edge + 1, n_tap, 2))
-        sums[:, 0] = self._state.sums
-        return rows, sums
 
-    def _work_for(self, n_samples: int, most: int, n_edge: int) -> Work:
-        """Room for the parts of a block, the last one's if it is enough."""
-        n_channel, n_cell = len(self._state.sums), n_samples // self._span + 1 + n_edge
-        n_part = n_cell + most
-        if self._work.whole.shape[1:2] < (n_part,) or len(self._work.cells) < n_cell:
-            self._work = Work(
-                np.empty((n_cell, 3), np.int64),
-                np.empty(n_channel, np.int64),
-                np.empty((n_channel, n_part, 6), np.int64),
-                np.empty((n_channel, n_part, 3)),
-            )
-        return self._work
+    def _begin(self, nco: Nco, setting: tuple[int, int, float, float]) -> Planned:
+        """Plan the first block of a command of the right shapes, make room where there is none."""
+        while True:
+            planned = plan(NOWHERE, self._end_sample, *setting, *nco, *self._memory)
+            first, stop, _, n_cell, n_row = planned
+            if n_cell == REFUSED:
+                raise ValueError(_what_is_wrong(nco, setting[2]))
+            if n_cell != NO_ROOM:
+                self._is_sealed = seal(plan)
+                return planned
+            self._grow(nco.t_s.size, n_row, min(stop - first, self._block))
 
-    def _fill(self, block: np.ndarray, n_cell: int, work: Work, sums: np.ndarray) -> None:
+    def _grow(self, n_edge: int, n_row: int, n_samples: int) -> None:
+        """Room for a command and its blocks, never less than before; open sums are kept."""
+        n_cell = n_samples // self._span + 1 + n_edge
+        asked = n_edge, n_row, n_cell
+        n_edge, n_row, n_cell = self._most = (*map(max, asked, self._most),)
+        n, before = self._n_channel, self._sums
+        rows = Rows(
+            np.zeros(n, np.int64), np.empty((n, n_row, 4), np.int64), np.empty((n, n_row, 4))
+        )
+        self._sums = np.zeros((n, n_row + n_edge + 1, *before.shape[2:]))
+        self._sums[:, 0] = before[:, 0]
+        self._work = Work(
+            np.empty((n_cell, 3), np.int64),
+            np.empty(n, np.int64),
+            np.empty((n, n_cell + n_row, 6), np.int64),
+            np.empty((n, n_cell + n_row, 3)),
+        )
+        edge = np.empty(n_edge, np.int64)
+        self._memory = edge, *self._state, *rows, *self._work, self._sums
+        self._ended = self._state.position, *rows, self._sums
+
+    def _fill(self, block: np.ndarray, n_cell: int) -> None:
         """Correlate a block of samples, all channels."""
-        if block.dtype == np.int8:
-            narrow, wide = np.ascontiguousarray(block).reshape(-1), _NO_FLOAT32
+        if block.dtype == _INT8:
+            narrow, wide = np.asarray(block).ravel(), _NO_FLOAT32
         else:
-            narrow, wide = _NO_INT8, np.ascontiguousarray(block, np.float32).reshape(-1)
+            narrow, wide = _NO_INT8, np.ascontiguousarray(block, np.float32).ravel()
+        work, sums = self._work, self._sums
         if self._pool is None:
-            self._engines[0](0, len(sums), narrow, wide, n_cell, work, sums)
+            self._engines[0](0, self._n_channel, narrow, wide, n_cell, work, sums)
             return
         parts = [
             self._pool.submit(engine, c0, c1, narrow, wide, n_cell, work, sums)
@@ -175,8 +191,12 @@ class SampleCorrelator:
         for part in parts:
             part.result()
 
-    def _check(self, nco: Nco) -> None:
-        n_channel = len(self._state.sums)
+    def _checked(self, nco: Nco) -> Nco:
+        """A copy of the command with the kernel's types; ValueError: shapes that disagree."""
+        nco = Nco(
+            *(np.array(a, t, order="C", ndmin=1) for a, t in zip(nco, _NCO_TYPES, strict=True))
+        )
+        n_channel = self._n_channel
         shape = (nco.t_s.size - 1, n_channel)
         if nco.dump_chips.shape != (n_channel,) or nco.valid.shape != (n_channel,):
             raise ValueError(f"nco.dump_chips and nco.valid: expected ({n_channel},) each")
@@ -185,6 +205,7 @@ class SampleCorrelator:
         for name in Nco._fields[1:6]:
             if getattr(nco, name).shape != shape:
                 raise ValueError(f"nco.{name} is {getattr(nco, name).shape}: expected {shape}")
+        return nco
 
 
 def _what_is_wrong(nco: Nco, fs: float) -> str:

@@ -49,7 +49,7 @@ class Exact:
         planes = memory[start : start + size].reshape(4, -1)
         turns = np.zeros(TURNS, np.float32)
         done = np.zeros(waveforms.first.size, np.int64)
-        self._mine = planes, turns, done, waveforms, index_delays(waveforms, offset_chips)
+        self._mine = planes, turns, done, *waveforms, index_delays(waveforms, offset_chips)
 
     def __call__(
         self, c0: int, c1: int, narrow: np.ndarray, wide: np.ndarray, n_cell: int, work: Work,
@@ -60,7 +60,7 @@ class Exact:
         The samples are interleaved I, Q: int8 in ``narrow`` or, where that is empty, float32 in
         ``wide``.
         """
-        _accumulate(c0, c1, narrow, wide, n_cell, work, sums, *self._mine)
+        _accumulate(c0, c1, narrow, wide, n_cell, *work, sums, *self._mine)
 
 
 # ---- kernels ---------------------------------------------------------------------------------
@@ -173,13 +173,12 @@ else:
 
 @borrowing
 def _accumulate(
-    c0: int, c1: int, narrow: Any, wide: Any, n_cell: int, work: Work, sums: Any, planes: Any,
-    turns: Any, done: Any, waveforms: Replicas, delays: Any,
+    c0: int, c1: int, narrow: Any, wide: Any, n_cell: int, cells: Any, count: Any, whole: Any,
+    real: Any, sums: Any, planes: Any, turns: Any, done: Any, table: Any, origin: Any,
+    length: Any, per_chip: Any, delays: Any,
 ) -> None:  # fmt: skip
-    """Parts of channels c0 ... c1 - 1, cell by cell."""
+    """Parts of channels c0 ... c1 - 1, cell by cell; `Work` and `Replicas` field by field."""
     x, y, i, q = planes[0], planes[1], planes[2], planes[3]
-    cells, count, whole, real = work
-    table, origin, length, per_chip = waveforms
     done[c0:c1] = 0
     for cell in range(n_cell):
         n, loaded = cells[cell, SAMPLES], False

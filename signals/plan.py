@@ -16,7 +16,14 @@ import numpy as np
 from signals.compiled import borrowing, kernel
 from signals.front_end import GUARD_SAMPLES
 from signals.lanes_correlator import PHASE_BITS
-from signals.nco import Nco, Taps
+from signals.nco import Nco
+
+# a command that begins, as its first sample; what `plan` returns in place of a number of cells
+NOWHERE = -(1 << 62)
+REFUSED, NO_ROOM = -1, -2
+
+Planned = tuple[int, int, int, int, int]
+"""First sample and end of a block, end of the command, cells of the block, rows of the command"""
 
 # columns of Work.cells
 FIRST, SAMPLES, PIECE = 0, 1, 2
@@ -54,7 +61,6 @@ class State(NamedTuple):
 
     position: np.ndarray  # (n_channel, 6) int64: known, open, number, first sample, dump, slot
     phases: np.ndarray  # (n_channel, 2): code and carrier at the first sample
-    sums: np.ndarray  # (n_channel, n_tap, 2): of the integration that was open when a call ended
 
 
 # ---- kernels ---------------------------------------------------------------------------------
@@ -67,8 +73,8 @@ _ROW_NUMBER, _ROW_SLOT, _ROW_FIRST, _ROW_END = 0, 1, 2, 3
 
 
 @borrowing
-def room(nco: Nco, fs: float, edge: np.ndarray) -> int:
-    """First samples of the pieces into ``edge`` (n_piece + 1,), see `first_sample_at`.
+def _room(nco: Nco, fs: float, edge: np.ndarray) -> int:
+    """First samples of the pieces into ``edge``, see `first_sample_at`.
 
     Returns how many integrations may end in a channel; -1 if a number of the command, of a valid
     channel, cannot be run.
@@ -124,26 +130,90 @@ def _phases(line: Any, dt: float, n: int, start: int, sample_s: float, ratio: fl
 
 @borrowing
 def plan(
-    first: int, end: int, span: int, fs: float, if_hz: float, nco: Nco, edge: np.ndarray,
-    state: State, rows: Rows, work: Work,
-) -> int:  # fmt: skip
-    """Fill ``work`` for samples first ... end - 1 and ``rows`` with what ends; number of cells."""
+    first: int, last_end: int, block: int, span: int, fs: float, if_hz: float,
+    t_s: Any, code: Any, chip_rate: Any, cycles: Any, freq: Any, rate: Any, dumps: Any, valid: Any,
+    edge: Any, position: Any, phases: Any, ended: Any, row_whole: Any, row_phases: Any,
+    cells: Any, parts: Any, whole: Any, real: Any, sums: Any,
+) -> Planned:  # fmt: skip
+    """Plan the block of samples from ``first`` on; `NOWHERE`: the first block of the command.
+
+    A call by the millisecond would spend more on its arguments than on its work: they come field
+    by field.  ``edge`` (>= n_piece + 1,) takes the first samples of the pieces, ``sums``
+    (n_channel, n_slot, n_tap, 2) has in slot 0 what was open at ``last_end``, where the last
+    command ended.  Cells `REFUSED`: shapes that disagree or a number that cannot be run;
+    `NO_ROOM`: arrays are too small for a command from first sample to end and as many rows.
+    """
+    nco = Nco(t_s, code, chip_rate, cycles, freq, rate, dumps, valid)
+    rows, work = Rows(ended, row_whole, row_phases), Work(cells, parts, whole, real)
+    state = State(position, phases)
+    last = t_s.size - 1
+    if first == NOWHERE:
+        if not _agree(nco, position.shape[0]):
+            return 0, 0, 0, REFUSED, 0
+        if edge.size <= last:
+            return 0, 0, 0, NO_ROOM, 0
+        most = _room(nco, fs, edge)
+        if most < 0:
+            return 0, 0, 0, REFUSED, 0
+        first, end = edge[0], edge[last]
+        n_cell, n_slot = min(block, end - first) // span + 2 + last, most + last + 2
+        if (
+            row_whole.shape[1] < most
+            or sums.shape[1] < n_slot
+            or cells.shape[0] < n_cell
+            or whole.shape[1] < n_cell + most
+        ):
+            return first, end, end, NO_ROOM, most
+        for channel in range(valid.size):
+            ended[channel] = 0
+            if first != last_end:
+                position[channel, _KNOWN], position[channel, _SLOT] = 0, 0
+            for slot in range(1, n_slot):
+                for tap in range(sums.shape[2]):
+                    sums[channel, slot, tap, 0], sums[channel, slot, tap, 1] = 0.0, 0.0
+    end = edge[last]
+    stop = min(first - first % span + block, end)
+    n_cell = _cells(first, stop, span, edge[: last + 1], cells)
+    n_row = 0
+    for channel in range(valid.size):
+        if not valid[channel]:
+            position[channel, _KNOWN] = 0
+            parts[channel] = 0
+        elif n_cell > 0:
+            _channel(channel, n_cell, first, fs, if_hz, nco, state, rows, work)
+        n_row += ended[channel]
+    return first, stop, end, n_cell, n_row
+
+
+@borrowing
+def _agree(nco: Nco, n_channel: int) -> bool:
+    """Do the shapes of a command agree?"""
+    shape = (nco.t_s.size - 1, n_channel)
+    return (
+        shape[0] > 0
+        and nco.code_phase_chips.shape == shape
+        and nco.chip_rate_hz.shape == shape
+        and nco.carrier_phase_cycles.shape == shape
+        and nco.carrier_freq_hz.shape == shape
+        and nco.carrier_rate_hz_per_s.shape == shape
+        and nco.dump_chips.size == n_channel
+        and nco.valid.size == n_channel
+    )
+
+
+@borrowing
+def _cells(first: int, end: int, span: int, edge: Any, cells: Any) -> int:
+    """Cells of samples first ... end - 1; how many."""
     n_cell = 0
     for p in range(edge.size - 1):
         start, stop = max(edge[p], first), min(edge[p + 1], end)
         while start < stop:
             n = min(start - start % span + span, stop) - start
-            work.cells[n_cell, FIRST] = start - first
-            work.cells[n_cell, SAMPLES] = n
-            work.cells[n_cell, PIECE] = p
+            cells[n_cell, FIRST] = start - first
+            cells[n_cell, SAMPLES] = n
+            cells[n_cell, PIECE] = p
             n_cell += 1
             start += n
-    for channel in range(nco.valid.size):
-        if nco.valid[channel]:
-            _channel(channel, n_cell, first, fs, if_hz, nco, state, rows, work)
-        else:
-            state.position[channel, _KNOWN] = 0
-            work.parts[channel] = 0
     return n_cell
 
 
@@ -223,32 +293,32 @@ def _finish(
     rows.phases[channel, row, 2], rows.phases[channel, row, 3] = now
 
 
-@kernel
-def collect(rows: Rows, sums: np.ndarray, state: State, fs: float, sigma: float) -> Taps:
-    """Rows of all channels, one after the other; the open sums are kept for the next call.
+@borrowing
+def collect(
+    fs: float, sigma: float, position: Any, ended: Any, row_whole: Any, row_phases: Any, sums: Any,
+    whole: Any, real: Any, iq: Any,
+) -> None:  # fmt: skip
+    """Rows of all channels, one after the other; the open sums become slot 0 of the next call.
 
-    ``sums`` is (n_channel, n_slot, n_tap, 2).
+    ``whole`` (2, n) and ``real`` (7, n) take channel, number; bounds [s], noise variance, code at
+    both bounds, carrier at both; ``iq`` is (n, n_tap).
     """
-    n = rows.ended.sum()
-    channel, number = np.empty(n, np.int64), np.empty(n, np.int64)
-    iq, r = np.empty((n, sums.shape[2]), np.complex128), np.empty((6, n))
     k = 0
-    for c in range(rows.ended.size):
-        for row in range(rows.ended[c]):
-            channel[k], number[k] = c, rows.whole[c, row, _ROW_NUMBER]
-            first, end = rows.whole[c, row, _ROW_FIRST], rows.whole[c, row, _ROW_END]
-            r[0, k], r[1, k] = first / fs, end / fs
-            for m in range(4):
-                r[2 + m, k] = rows.phases[c, row, m]
+    for c in range(ended.size):
+        for row in range(ended[c]):
+            whole[0, k], whole[1, k] = c, row_whole[c, row, _ROW_NUMBER]
+            first, end = row_whole[c, row, _ROW_FIRST], row_whole[c, row, _ROW_END]
+            real[0, k], real[1, k], real[2, k] = first / fs, end / fs, 1.0
+            real[3, k], real[4, k] = row_phases[c, row, 0], row_phases[c, row, 2]
+            real[5, k], real[6, k] = row_phases[c, row, 1], row_phases[c, row, 3]
             scale = 1.0 / (sigma * math.sqrt(end - first))
-            slot = rows.whole[c, row, _ROW_SLOT]
+            slot = row_whole[c, row, _ROW_SLOT]
             for tap in range(sums.shape[2]):
                 i, q = sums[c, slot, tap, 0], sums[c, slot, tap, 1]
                 iq[k, tap] = complex(i * scale, q * scale)
             k += 1
-        slot = state.position[c, _SLOT]
+        slot = position[c, _SLOT]
         for tap in range(sums.shape[2]):
             for m in range(2):
-                state.sums[c, tap, m] = sums[c, slot, tap, m]
-        state.position[c, _SLOT] = 0
-    return Taps(channel, number, r[0], r[1], iq, np.ones(n), r[2], r[4], r[3], r[5])
+                sums[c, 0, tap, m] = sums[c, slot, tap, m]
+        position[c, _SLOT] = 0

@@ -106,6 +106,9 @@ class Recording:
         # int16 as float32: one set of compiled correlators fewer
         small = self.format.packed or self.format.dtype.itemsize == 1
         self.dtype = np.dtype(np.int8 if small else np.float32)
+        as_stored = self.format.components == 2 and not (self.format.packed or swap_iq or conjugate)
+        as_stored = as_stored and self._stored.dtype == self.dtype
+        self._pairs = np.asarray(self._stored).reshape(-1, 2) if as_stored else None
         self.sigma = measured_sigma(self) if sigma is None else float(sigma)
 
     def __len__(self) -> int:
@@ -114,6 +117,8 @@ class Recording:
     def samples(self, n0: int, n1: int) -> np.ndarray:
         """Samples n0 <= n < n1 as (n1 - n0, 2): I, Q.  Maybe a view, not to be written to."""
         check_range(n0, n1, self.first_sample, self.end_sample, self._name)
+        if self._pairs is not None:
+            return self._pairs[n0 - self.first_sample : n1 - self.first_sample]
         values = self._values(n0 - self.first_sample, n1 - self.first_sample)
         if self.format.real:
             out = np.zeros((len(values), 2), self.dtype)

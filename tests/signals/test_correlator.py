@@ -316,6 +316,54 @@ def test_invalid_channels_and_gaps_drop_the_open_sum(command):
     assert gap.number[gap.channel == 0].tolist() == [18, 19]
 
 
+def test_a_command_may_be_of_any_arrays(command):
+    """Other types and layouts, and fewer pieces than before: the same bits as a plain command."""
+    source = noise(80_000)
+    nco = command(np.arange(9) * 2.5e-3, [300.0, 1e4], 0.0, [-2000.0, 40.0], 0.0, [1023, 5115])
+    fresh, used = (SampleCorrelator(source, chips(2), OFFSETS) for _ in range(2))
+    used(nco)
+    for part in (split(nco, 0, 1), split(nco, 1, 8)):
+        expected = fresh(part)
+        strange = Nco(
+            part.t_s.tolist(),
+            np.asfortranarray(part.code_phase_chips),
+            part.chip_rate_hz.tolist(),
+            np.repeat(part.carrier_phase_cycles, 2, axis=1)[:, ::2],
+            part.carrier_freq_hz.astype(np.int64),
+            part.carrier_rate_hz_per_s.astype(np.float32),
+            part.dump_chips.astype(np.int32),
+            part.valid.astype(np.int8),
+        )
+        for column, same in zip(used(strange), expected, strict=True):
+            np.testing.assert_array_equal(column, same)
+
+
+def test_results_belong_to_the_caller(command):
+    """Room is used again by the next call, rows that were returned are not."""
+    nco = command(np.arange(9) * 2.5e-3, [300.0, 1e4])
+    correlate = SampleCorrelator(noise(80_000), chips(2), OFFSETS)
+    first = correlate(split(nco, 0, 4))
+    kept = Taps(*(column.copy() for column in first))
+    correlate(split(nco, 4, 8))
+    for column, same in zip(first, kept, strict=True):
+        np.testing.assert_array_equal(column, same)
+
+
+def test_a_source_that_fails_leaves_nothing_behind(command):
+    """Refused within the second of three blocks: the next command starts as on a new correlator."""
+    source = noise(400_000)
+    nco = command([0.0, 0.1], [300.0, 1e4])
+    expected = SampleCorrelator(source, chips(2), OFFSETS)(nco)
+    short = Recording(source.samples(0, 200_000), FS, IF_HZ, 24.0)
+    correlate = SampleCorrelator(short, chips(2), OFFSETS)
+    for _ in range(3):
+        with pytest.raises(ValueError, match="the recording has 0 to 200000"):
+            correlate(nco)
+    correlate._source = source
+    for column, same in zip(correlate(nco), expected, strict=True):
+        np.testing.assert_array_equal(column, same)
+
+
 def test_bad_commands_are_refused(command):
     source = noise(40_000)
     good = command([0.0, 0.005, 0.01])
