@@ -143,6 +143,8 @@ def plan(
         raise InvalidInput(f"--out: {out} given, expected a name without ending")
     if out.suffix in (".sigmf-data", ".sigmf-meta"):
         out = out.with_suffix("")
+    if kind.packed and rms is not None:
+        raise InvalidInput(f"--rms: {rms:g} given, expected none: {form} has fixed levels")
     data, meta = paths(out, form)
     truth = out.with_name(f"{out.name}.truth.nc")
     for path in (data, meta, truth):
