@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
+
+import numpy as np
 
 from signals import icd_beidou, icd_galileo, icd_gps, modulation
 from signals.constants import (
@@ -27,7 +30,7 @@ from signals.generators import (
     shared_code,
 )
 from signals.memory_codes import read_memory_codes
-from signals.modulation import Modulation, bpsk
+from signals.modulation import bpsk
 from signals.signal_row import Signal
 
 # -- GPS -----------------------------------------------------------------------------------------
@@ -149,10 +152,36 @@ GALILEO_E5AQ = _E5A(
 )
 
 
+_NO_CODES: dict[int, np.ndarray] = {}
+# Galileo OS SIS ICD 2.1, 2.3.3, 3.4.2, 3.5: I/NAV at 250 symb/s on E1-B, CS25 on E1-C; the codes
+# are those of a file
+_E1 = partial(
+    Signal,
+    system="E",
+    carrier_hz=GPS_L1_HZ,
+    chip_rate_hz=CA_CHIP_RATE_HZ,
+    length_chips=4092,
+    prns=(),
+    generate=_NO_CODES.__getitem__,
+)
+_E1B = _E1(
+    label="E1B",
+    name="Galileo E1-B",
+    symbol_s=0.004,
+    modulation=modulation.CBOC_PLUS,
+)
+_E1C = _E1(
+    label="E1C",
+    name="Galileo E1-C",
+    symbol_s=0.1,
+    modulation=modulation.CBOC_MINUS,
+    secondary=shared_code("0011100000001010110110010"),
+    pilot=True,
+)
+
+
 def galileo_e1(path: str | Path) -> tuple[Signal, Signal]:
     """E1-B and E1-C with the memory codes of a file (`memory_codes.read_memory_codes`).
-
-    Galileo OS SIS ICD 2.1, 2.3.3, 3.4.2, 3.5: I/NAV at 250 symb/s on E1-B, CS25 on E1-C.
 
     Raises
     ------
@@ -160,30 +189,9 @@ def galileo_e1(path: str | Path) -> tuple[Signal, Signal]:
         The file is missing, or something in it is not as expected.
     """
     codes = read_memory_codes(Path(path))
-    common = partial(
-        Signal,
-        system="E",
-        carrier_hz=GPS_L1_HZ,
-        chip_rate_hz=CA_CHIP_RATE_HZ,
-        length_chips=4092,
-    )
-    e1b = common(
-        label="E1B",
-        name="Galileo E1-B",
-        symbol_s=0.004,
-        modulation=modulation.CBOC_PLUS,
-        prns=tuple(codes["E1B"]),
-        generate=codes["E1B"].__getitem__,
-    )
-    e1c = common(
-        label="E1C",
-        name="Galileo E1-C",
-        symbol_s=0.1,
-        modulation=modulation.CBOC_MINUS,
-        prns=tuple(codes["E1C"]),
-        generate=codes["E1C"].__getitem__,
-        secondary=shared_code("0011100000001010110110010"),
-        pilot=True,
+    e1b, e1c = (
+        replace(row, prns=tuple(codes[row.label]), generate=codes[row.label].__getitem__)
+        for row in (_E1B, _E1C)
     )
     return e1b, e1c
 
@@ -238,14 +246,14 @@ SIGNALS = {
     )
 }  # fmt: skip
 """Signals whose codes can be generated, by label; for E1B and E1C see `galileo_e1`"""
-LABELS = (*SIGNALS, "E1B", "E1C")
-PILOTS = frozenset(row.label for row in SIGNALS.values() if row.pilot) | {"E1C"}
+_ROWS = SIGNALS | {row.label: row for row in (_E1B, _E1C)}
+LABELS = tuple(_ROWS)
+PILOTS = frozenset(row.label for row in _ROWS.values() if row.pilot)
 
 
-def modulation_of(label: str) -> Modulation:
-    """Modulation of a label; for E1B and E1C without the file of their codes."""
-    cboc = {"E1B": modulation.CBOC_PLUS, "E1C": modulation.CBOC_MINUS}
-    return cboc[label] if label in cboc else SIGNALS[label].modulation
+def facts(label: str) -> Signal:
+    """The row of a label of `LABELS`; those of E1B and E1C are without their codes."""
+    return _ROWS[label]
 
 
 def signal(label: str, memory_codes: str | Path | None = None) -> Signal:

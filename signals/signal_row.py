@@ -62,6 +62,11 @@ class Signal:
         return self.modulation.per_chip
 
     @property
+    def sub_chip_rate_hz(self) -> float:
+        """Rate of the replica's values."""
+        return self.chip_rate_hz * self.per_chip
+
+    @property
     def symbol_chips(self) -> int:
         """Chips in a symbol."""
         return round(self.symbol_s * self.chip_rate_hz)

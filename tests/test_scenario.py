@@ -357,3 +357,23 @@ def test_sample_rates_in_step_with_the_code_are_warned_of(
         # brute force: where the edges of one code period fall between samples, in bins of 1/20
         edges = {round(k * rate_hz / 1.023e6 % 1.0 * 20) % 20 for k in range(1023)}
         assert len(edges) <= 2 * phases
+
+
+def test_sample_rates_in_step_are_those_of_the_signals() -> None:
+    """13.299 MHz is 13 samples per chip of L1C, thus 13/12 per sub-chip of TMBOC: no small ratio.
+
+    12.276e6 * 5/4 is 5/4 per sub-chip of TMBOC; 20.46 MHz is 2 per chip of L5.
+    """
+    for rate_hz, label, said in (
+        (13.299e6, "L1CP", None),
+        (15.345e6, "L1CP", "is 5/4 samples per sub-chip of L1CP: the sub-chip edges"),
+        (20.46e6, "L5Q", "is 2 samples per chip of L5Q: the chip edges"),
+    ):
+        changes = {
+            "front_end.sample_rate_hz": rate_hz,
+            "signals": [label],
+            "correlator.spacing_chips": 0.2,
+        }
+        lines = load("uniform", changes).warnings()
+        assert len(lines) == (said is not None)
+        assert said is None or said in lines[0]

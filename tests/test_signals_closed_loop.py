@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import ultratight
+from signals.nco import Nco
 from ultratight.scenario import InvalidInput
 from ultratight.tracking.knows import Knows
 from ultratight.world import World
@@ -25,6 +26,10 @@ needs_codes = pytest.mark.skipif(
 )
 
 
+# above the sub-chip rates of L5, 10.23 MHz, and of TMBOC and CBOC, 12.276 MHz
+SAMPLES = {"correlator.kind": "samples", "front_end.sample_rate_hz": 12.5e6}
+
+
 def scenario(signals, **changes):
     return ultratight.load("uniform", MATCHED | {"signals": signals} | changes)
 
@@ -37,6 +42,21 @@ CASES = [
     pytest.param(["L1CP", "L5Q"], {"correlator.spacing_chips": 0.2}, 0.3, id="both"),
     pytest.param(
         ["E1C"], GALILEO | {"correlator.spacing_chips": 1 / 24}, 1.0, id="E1C", marks=needs_codes
+    ),
+    pytest.param(["L5Q"], SAMPLES, 0.3, id="L5Q from samples", marks=pytest.mark.slow),
+    pytest.param(
+        ["L1CP"],
+        SAMPLES | {"correlator.spacing_chips": 1 / 24},
+        1.0,
+        id="L1CP from samples",
+        marks=pytest.mark.slow,
+    ),
+    pytest.param(
+        ["E1C"],
+        GALILEO | SAMPLES | {"correlator.spacing_chips": 1 / 24},
+        1.0,
+        id="E1C from samples",
+        marks=[pytest.mark.slow, needs_codes],
     ),
 ]
 
@@ -57,6 +77,46 @@ def test_a_pilot_needs_no_data_bits_and_is_tracked(signals, changes, limit_m):
     # numbers of chi-square: 1 +- 4 sqrt(2 / n)
     n = run["n_measurement"][late].sum()
     assert nis == pytest.approx(1.0, abs=4 * np.sqrt(2 / n) + 0.03), nis
+
+
+def test_samples_hold_all_signals_of_a_carrier():
+    """Replicas that follow the truth find each signal with its own symbols, at sqrt(2 C/N0 T).
+
+    A tap's noise has variance 1 and, as chips of the others are signs at random, at most
+    2/3 C/N0 / f_c for each of them (Parkinson & Spilker, vol. 1, ch. 3).
+    """
+    changes = SAMPLES | {"correlator.spacing_chips": 0.2, "cn0_dbhz": 45.0, "duration_s": 0.4}
+    chosen = scenario(["L1CA", "L1CP"], **changes, **{"imu.rate_hz": 100.0})
+    w = World(chosen, 3)
+    state, n = w.signal, len(w.rows)
+    code, carrier = (
+        np.swapaxes(x[:, :80], 0, 1) for x in (state.code_phase_chips, state.carrier_phase_cycles)
+    )
+    nco = Nco(
+        state.t_s[:81], code[..., 0], code[..., 1], carrier[..., 0], carrier[..., 1],
+        2.0 * carrier[..., 2], w.channels.dump_chips, np.ones(n, bool),
+    )  # fmt: skip
+    taps = w.correlator()(nco)
+    symbol = taps.number * w.channels.dump_chips[taps.channel]
+    symbol = symbol // w.channels.symbol_chips[taps.channel] - state.first_symbol
+    amplitude = np.sqrt(2.0 * 10**4.5 * (taps.t_end_s - taps.t_start_s))
+    prompt = taps.iq[:, 1] * state.symbols[taps.channel, symbol] / amplitude
+    variance = 1.0 + (n - 1) * 2.0 / 3.0 * 10**4.5 / 1.023e6
+    for i in range(n):
+        mine = prompt[taps.channel == i]
+        assert len(mine) >= 38
+        sigma = np.sqrt(variance / len(mine)) / amplitude.min()
+        assert mine.mean().real == pytest.approx(1.0, abs=4.0 * sigma)
+        assert mine.mean().imag == pytest.approx(0.0, abs=4.0 * sigma)
+    assert {row.label for row in w.rows} == {"L1CA", "L1CP"}
+
+
+def test_doppler_counts_at_the_least_sample_rate():
+    changes = SAMPLES | {"correlator.spacing_chips": 0.2, "front_end.sample_rate_hz": 12.276e6}
+    with pytest.raises(
+        InvalidInput, match=r"front_end: sample_rate_hz is 12276000\.0: expected >="
+    ):
+        ultratight.run(scenario(["L1CP"], **changes), 3)
 
 
 def test_data_of_a_signal_do_not_depend_on_the_others():
@@ -120,7 +180,27 @@ def test_ionosphere_is_that_of_the_carrier():
         ),
         (
             {"signals": ["L5Q"], "correlator.kind": "samples"},
-            'correlator.kind: "samples" with signals L5Q given, expected "model", or L1CA alone',
+            "front_end.sample_rate_hz: 4000000 given, expected at least the chip rate of L5Q, "
+            "10230000",
+        ),
+        (
+            {"signals": ["L1CA", "L1CD"], "correlator.spacing_chips": 0.2}
+            | SAMPLES
+            | {"front_end.sample_rate_hz": 2.04e6},
+            "front_end.sample_rate_hz: 2040000 given, expected at least the sub-chip rate of L1CD, "
+            "2046000",
+        ),
+        (
+            {"signals": ["L1CP"], "correlator.spacing_chips": 0.2}
+            | SAMPLES
+            | {"front_end.sample_rate_hz": 12.2e6},
+            "front_end.sample_rate_hz: 12200000 given, expected at least the sub-chip rate of "
+            "L1CP, 12276000",
+        ),
+        (
+            {"signals": ["L1CA", "L1CD", "L5Q"], "correlator.spacing_chips": 0.2} | SAMPLES,
+            "signals: L1CA at 1575.42 MHz and L5Q at 1176.45 MHz given, expected one carrier in "
+            'samples, or "model"',
         ),
         (
             {"signals": ["L1CD"], "correlator.spacing_chips": 0.6},

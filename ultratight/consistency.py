@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -117,31 +117,54 @@ def _signal_contradictions(s: Scenario) -> Found:
         refuse("galileo_codes signals", "nothing", "the file of the memory codes of E1B and E1C")
     if labels in ((), ("L1CA",)):
         return found
-    from signals.codes import modulation_of
+    from signals.codes import facts
 
-    for key, given, expected in (
-        ("receiver.closure", s.receiver.closure, "ultra-tight"),
-        ("correlator.kind", s.correlator.kind, "model"),
-    ):
-        if given != expected:
-            refuse(
-                f"{key} signals", f'"{given}" with signals {shown}', f'"{expected}", or L1CA alone'
-            )
+    if s.receiver.closure != "ultra-tight":
+        refuse(
+            "receiver.closure signals",
+            f'"{s.receiver.closure}" with signals {shown}',
+            '"ultra-tight", or L1CA alone',
+        )
     if s.data_bits == "lnav" and not _all_pilots(s):
         refuse(
             "data_bits signals", f'"lnav" with signals {shown}', '"random": LNAV is that of L1CA'
         )
+    if s.correlator.kind == "samples":
+        found += _sampling_contradictions(s)
     if s.correlator.multiple_access:
         refuse("correlator.multiple_access signals", f"true with signals {shown}", "L1CA alone")
     spacing = s.correlator.spacing_chips
     for label in labels:
-        if modulation_of(label).early_late_slope(spacing) < 1.0 - 1e-9:
+        if facts(label).modulation.early_late_slope(spacing) < 1.0 - 1e-9:
             refuse(
                 "correlator.spacing_chips signals",
                 f"{spacing:g} with {label}",
                 "a spacing at which late minus early grows with the delay by 1 per chip or more "
                 "(BOC: less than 0.5; TMBOC and CBOC also not near 0.125 and 0.3)",
             )
+    return found
+
+
+def _sampling_contradictions(s: Scenario) -> Found:
+    """What one stream of IF samples cannot hold."""
+    from signals.codes import facts
+
+    rows = [facts(label) for label in s.signals]
+    found: Found = []
+    other = next((row for row in rows if row.carrier_hz != rows[0].carrier_hz), None)
+    if other is not None:
+        first, second = (f"{row.label} at {row.carrier_hz / 1e6:g} MHz" for row in (rows[0], other))
+        text = f'signals: {first} and {second} given, expected one carrier in samples, or "model"'
+        found.append((("signals", "correlator.kind"), text))
+    rate, most = s.front_end.sample_rate_hz, max(rows, key=lambda row: row.sub_chip_rate_hz)
+    if CA_CHIP_RATE_HZ <= rate < most.sub_chip_rate_hz:
+        key = "front_end.sample_rate_hz"
+        kind = "chip" if most.per_chip == 1 else "sub-chip"
+        text = (
+            f"{key}: {rate:.10g} given, expected at least the {kind} rate of {most.label}, "
+            f"{most.sub_chip_rate_hz:.10g}"
+        )
+        found.append(((key, "signals", "correlator.kind"), text))
     return found
 
 
@@ -230,18 +253,29 @@ def _is_multiple(value: float, step: float) -> bool:
     return round(value / step) >= 1 and abs(value / step - round(value / step)) < 1e-6
 
 
-def commensurate(sample_rate_hz: float) -> list[str]:
+def commensurate(sample_rate_hz: float, labels: Sequence[str]) -> list[str]:
     """Samples per chip p/q with q <= 10 put the chip edges on the sample grid at q phases only.
 
-    Close counts: the pattern must move by less than half its own step (1/q sample) in one code
-    period.  A delay is then seen in steps of 1/q sample, until Doppler moves the pattern.
+    With a sub-carrier the edges are those of sub-chips.  Close counts: the pattern must move by
+    less than half its own step (1/q sample) in one code period.  A delay is then seen in steps of
+    1/q sample, until Doppler moves the pattern.
     """
-    per_chip = sample_rate_hz / CA_CHIP_RATE_HZ
-    ratio = Fraction(per_chip).limit_denominator(10)
-    if abs(per_chip - ratio) * 1023.0 >= 0.5 / ratio.denominator:
-        return []
-    return [
-        f"front_end.sample_rate_hz: {sample_rate_hz:g} is {ratio} samples per chip: the chip edges "
-        f"meet the sample grid at {ratio.denominator} phase(s) only, which biases code delay; "
-        "4e6 (4000/1023) does not"
-    ]
+    from signals.codes import facts
+
+    found = []
+    for row in map(facts, labels):
+        ratio = sample_rate_hz / row.sub_chip_rate_hz
+        near = Fraction(ratio).limit_denominator(10)
+        moves = abs(ratio - near) * row.length_chips * row.per_chip
+        if moves >= 0.5 / near.denominator:
+            continue
+        chip = "chip" if row.per_chip == 1 else "sub-chip"
+        of, other = f" of {row.label}", ""
+        if row.label == "L1CA":
+            of, other = "", "; 4e6 (4000/1023) does not"
+        found.append(
+            f"front_end.sample_rate_hz: {sample_rate_hz:g} is {near} samples per {chip}{of}: the "
+            f"{chip} edges meet the sample grid at {near.denominator} phase(s) only, which biases "
+            f"code delay{other}"
+        )
+    return found

@@ -27,10 +27,11 @@ def if_source(w: World, state: SignalState, form: FileFormat, rms: float | None)
     try:
         return SyntheticIf(
             state,
-            w.chips,
+            w.waveforms,
             f.sample_rate_hz,
             w.seed,
             if_hz=f.if_hz,
+            symbol_chips=w.channels.symbol_chips,
             sample_format=_KINDS[form.dtype.str[1:]],
             real=form.real,
             sigma=rms,

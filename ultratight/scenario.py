@@ -259,7 +259,7 @@ class Scenario(Table):
 
     def warnings(self) -> list[str]:
         """Lines about what is allowed and seldom wanted."""
-        found = consistency.commensurate(self.front_end.sample_rate_hz)
+        found = consistency.commensurate(self.front_end.sample_rate_hz, self.signals)
         if self.atmosphere.ionosphere or self.atmosphere.troposphere:
             found.append(
                 "atmosphere: the receiver of a run knows nothing of it and corrects nothing: "

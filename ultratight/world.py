@@ -209,11 +209,6 @@ class World:
         return imu_errors(self.scenario, self.seed)
 
     @cached_property
-    def chips(self) -> np.ndarray:
-        """(n_channel, 1023) int8 codes of the channels; samples are made of L1 C/A alone."""
-        return np.stack([r.chips(p) for r, p in zip(self.rows, self.prn.tolist(), strict=True)])
-
-    @cached_property
     def waveforms(self) -> Replicas:
         """One period of the replica of each channel."""
         rows = [r.subchips(p) for r, p in zip(self.rows, self.prn.tolist(), strict=True)]
@@ -221,18 +216,26 @@ class World:
 
     @cached_property
     def samples(self) -> SyntheticIf | Recording:
-        """The IF samples: those given, or the world's own, generated where they are asked for."""
+        """The IF samples: those given, or the world's own, generated where they are asked for.
+
+        They hold the channels of one carrier.  `InvalidInput` where Doppler lifts the sub-chip
+        rate of a signal above the sampling rate.
+        """
         if self._samples is not None:
             return self._samples
         f = self.scenario.front_end
-        return SyntheticIf(
-            self.signal,
-            self.chips,
-            sample_rate_hz=f.sample_rate_hz,
-            if_hz=f.if_hz,
-            seed=self.seed,
-            sample_format=f.sample_format,
-        )
+        try:
+            return SyntheticIf(
+                self.signal,
+                self.waveforms,
+                sample_rate_hz=f.sample_rate_hz,
+                if_hz=f.if_hz,
+                seed=self.seed,
+                sample_format=f.sample_format,
+                symbol_chips=self.channels.symbol_chips,
+            )
+        except ValueError as error:
+            raise InvalidInput(f"front_end: {error}") from None
 
     @cached_property
     def correlations(self) -> Correlations:
@@ -260,7 +263,7 @@ class World:
             )
         from signals.correlator import SampleCorrelator  # takes a while, and the model needs none
 
-        return SampleCorrelator(self.samples, self.chips, self.offset_chips)
+        return SampleCorrelator(self.samples, self.waveforms, self.offset_chips)
 
     @property
     def offset_chips(self) -> np.ndarray:

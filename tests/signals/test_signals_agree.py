@@ -1,6 +1,7 @@
 """Samples and closed form give the same taps for every kind of modulation.
 
-The samples are made here, from the definition: waveform of the delayed code times carrier.
+The samples are made here, from the definition (waveform of the delayed code times carrier), and by
+`SyntheticIf`.
 Sampling moves each step of signal and replica by a uniform part of a sample: with n steps of
 height h_k in each, in N samples, the mean of the product is off by
 sqrt(2 sum h_k^2 / 12) / N of the amplitude (see `test_correlators_agree`).
@@ -14,6 +15,7 @@ import pytest
 from signals.codes import GPS_L1CD, GPS_L1CP, GPS_L2CM, GPS_L5Q, Signal, galileo_e1
 from signals.correlator import SampleCorrelator
 from signals.correlator_model import ModelCorrelator
+from signals.front_end import SyntheticIf
 from signals.nco import Nco
 from signals.propagation import SignalState
 from signals.recording import Recording
@@ -38,6 +40,14 @@ def sampled(row: Signal, prn: int, fs: float, signs: np.ndarray, line: tuple) ->
     value = wave[np.floor(code * row.per_chip).astype(np.int64) % wave.size] * symbol
     z = value * np.exp(2j * np.pi * (IF_HZ * t + line[2] + line[3] * t))
     return Recording(np.stack([z.real, z.imag], 1).astype(np.float32), fs, IF_HZ, 1.0)
+
+
+def synthetic(row: Signal, prn: int, fs: float, signs: np.ndarray, line: tuple) -> SyntheticIf:
+    """The same from the front end."""
+    return SyntheticIf(
+        truth(row, fs, signs, line), replicas([row.subchips(prn)], row.per_chip), fs, 1,
+        if_hz=IF_HZ, sample_format="float32", noise=False, symbol_chips=row.symbol_chips,
+    )  # fmt: skip
 
 
 def truth(row: Signal, fs: float, signs: np.ndarray, line: tuple) -> SignalState:
@@ -69,8 +79,9 @@ CASES = [
 ]  # fmt: skip
 
 
+@pytest.mark.parametrize("source", [sampled, synthetic])
 @pytest.mark.parametrize(("row", "fs", "dump_chips"), CASES)
-def test_mean_and_bounds(row, fs, dump_chips):
+def test_mean_and_bounds(row, fs, dump_chips, source):
     if row == "E1C":
         row = galileo_e1(CODES)[1]
     rng = np.random.default_rng(5)
@@ -90,7 +101,7 @@ def test_mean_and_bounds(row, fs, dump_chips):
             np.array([True]),
         )
         waveforms = replicas([row.subchips(7)], row.per_chip)
-        samples = SampleCorrelator(sampled(row, 7, fs, signs, line), waveforms, OFFSETS)(nco)
+        samples = SampleCorrelator(source(row, 7, fs, signs, line), waveforms, OFFSETS)(nco)
         model = ModelCorrelator(
             truth(row, fs, signs, line), waveforms, np.array([7]), OFFSETS, 1, noise=False,
             symbol_chips=row.symbol_chips, period_chips=dump_chips, sample_rate_hz=fs,
@@ -107,9 +118,10 @@ def test_mean_and_bounds(row, fs, dump_chips):
     assert np.abs(model.iq[:, 1]).min() > 0.1 * np.sqrt(n.min())
 
 
-def test_a_replica_of_another_waveform_disagrees():
+@pytest.mark.parametrize("make", [sampled, synthetic])
+def test_a_replica_of_another_waveform_disagrees(make):
     """The test can fail: BOC(1,1) in place of TMBOC loses the BOC(6,1) chips, 4 of 33."""
-    line = straight(GPS_L1CP, 3.0, 0.0, 0.0)
+    line = straight(GPS_L1CP, 3.0123456, 0.0, 0.0)  # no sample on an edge: 24700 / 1023 per chip
     signs = np.ones(12, np.int8)
     nco = Nco(
         np.array([0.0, 0.03]), *(np.full((1, 1), x) for x in line), np.zeros((1, 1)),
@@ -118,7 +130,7 @@ def test_a_replica_of_another_waveform_disagrees():
     found = []
     for modulation in (GPS_L1CP.modulation, GPS_L1CD.modulation):
         waveforms = replicas([modulation.modulate(GPS_L1CP.chips(7))], modulation.per_chip)
-        source = sampled(GPS_L1CP, 7, 24.7e6, signs, line)
+        source = make(GPS_L1CP, 7, 24.7e6, signs, line)
         taps = SampleCorrelator(source, waveforms, np.zeros(1))(nco)
         found.append(taps.iq[0, 0].real / np.sqrt(0.01 * 24.7e6))
     assert found[0] == pytest.approx(1.0, abs=1e-6)
