@@ -25,7 +25,18 @@ import numpy as np
 
 from signals.compiled import seal
 from signals.nco import Nco, Taps
-from signals.plan import NO_ROOM, NOWHERE, REFUSED, Planned, Rows, State, Work, collect, plan
+from signals.plan import (
+    LARGEST,
+    NO_ROOM,
+    NOWHERE,
+    REFUSED,
+    Planned,
+    Rows,
+    State,
+    Work,
+    collect,
+    plan,
+)
 from signals.recording import IfSource
 from signals.replica import Replicas, replicas
 
@@ -87,6 +98,8 @@ class SampleCorrelator:
         self.offset_chips = np.ascontiguousarray(offset_chips, dtype=np.float64)
         if self.offset_chips.ndim != 1 or not np.all(np.isfinite(self.offset_chips)):
             raise ValueError(f"offset_chips is {offset_chips}: expected finite (n_tap,)")
+        if workers < 1:
+            raise ValueError(f"workers is {workers}: expected at least 1")
         if method not in _ENGINES:
             raise ValueError(f"method is {method!r}: expected one of {', '.join(_ENGINES)}")
         if not isinstance(chips, Replicas):
@@ -213,8 +226,10 @@ def _what_is_wrong(nco: Nco, fs: float) -> str:
     if not np.all(nco.t_s[1:] > nco.t_s[:-1]):
         return f"nco.t_s is {nco.t_s.tolist()}: expected two or more, rising"
     for name in Nco._fields[1:6]:
-        if not np.isfinite(getattr(nco, name)[:, nco.valid]).all():
-            return f"nco.{name} of a valid channel is not finite"
+        values = getattr(nco, name)[:, nco.valid]
+        if not np.all(np.abs(values) < LARGEST):
+            at = values[~(np.abs(values) < LARGEST)][0]
+            return f"nco.{name} of a valid channel is {at}: expected below {LARGEST:g}"
     if np.any(nco.dump_chips[nco.valid] < 1):
         return f"nco.dump_chips is {nco.dump_chips}: expected at least one chip"
     rate = nco.chip_rate_hz[:, nco.valid]

@@ -40,7 +40,7 @@ def path() -> str:
     ------
     ValueError : the environment names a path that does not exist or that this CPU lacks.
     """
-    wanted = os.environ.get(VARIABLE)
+    wanted = os.environ.get(VARIABLE) or None  # empty is unset
     if wanted is not None and wanted not in _NEEDS:
         raise ValueError(f"{VARIABLE} is {wanted!r}: expected one of {', '.join(_NEEDS)}")
     if config.DISABLE_JIT:

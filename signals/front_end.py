@@ -315,6 +315,11 @@ def _check_state(
     _, n_piece = state.valid.shape
     if len(state.t_s) != n_piece + 1 or state.t_s[0] < 0.0:
         raise ValueError(f"t_s is {state.t_s}: expected {n_piece + 1} instants >= 0")
+    if not np.all(np.diff(state.t_s) > 0.0):
+        raise ValueError("t_s: expected instants that rise")
+    for name in ("code_phase_chips", "carrier_phase_cycles", "cn0_dbhz"):
+        if not np.isfinite(getattr(state, name)[state.valid]).all():
+            raise ValueError(f"{name} of a valid channel is not finite")
     if symbol_chips.size and not symbol_chips.min() >= 1:
         raise ValueError(f"symbol_chips is {symbol_chips.min()}: expected >= 1")
     dt = np.diff(state.t_s)

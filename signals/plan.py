@@ -63,6 +63,9 @@ class State(NamedTuple):
     phases: np.ndarray  # (n_channel, 2): code and carrier at the first sample
 
 
+LARGEST = 1e15
+"""Phases [chips, cycles] and frequencies beyond this leave float64 no fraction of a chip"""
+
 # ---- kernels ---------------------------------------------------------------------------------
 
 _CYCLE = 2.0**PHASE_BITS
@@ -91,7 +94,7 @@ def _room(nco: Nco, fs: float, edge: np.ndarray) -> int:
                 rate = nco.chip_rate_hz[p, channel]
                 sum_ = nco.code_phase_chips[p, channel] + nco.carrier_phase_cycles[p, channel]
                 sum_ += nco.carrier_freq_hz[p, channel] + nco.carrier_rate_hz_per_s[p, channel]
-                if not (math.isfinite(sum_) and 0.0 < rate <= fs):
+                if not (abs(sum_) < LARGEST and 0.0 < rate <= fs):
                     return -1
                 chips += rate * (nco.t_s[p + 1] - nco.t_s[p])
             if nco.dump_chips[channel] < 1:

@@ -147,7 +147,14 @@ def open_recording(
     ValueError : a file that is missing, truncated or of another kind, or not described enough.
     """
     path = Path(path)
-    described = _description_of(path)
+    try:
+        described = _description_of(path)
+        data, said = (path, {}) if described is None else _facts(described)
+        stands_at = if_hz
+        if described is not None and if_hz is None:
+            stands_at = _if_hz(described, said)
+    except (TypeError, AttributeError, RecursionError, KeyError, IndexError) as error:
+        raise ValueError(f"{path}: its metadata are not as SigMF has them ({error})") from None
     if described is None:
         missing = {
             "format": sample_format,
@@ -165,11 +172,10 @@ def open_recording(
             path, sample_rate_hz, if_hz, sigma,
             sample_format=sample_format, swap_iq=swap_iq, conjugate=conjugate,
         )  # fmt: skip
-    data, said = _facts(described)
     return Recording(
         data,
         said["sample_rate_hz"] if sample_rate_hz is None else sample_rate_hz,
-        _if_hz(described, said) if if_hz is None else if_hz,
+        stands_at or 0.0,
         said["sigma"] if sigma is None else sigma,
         sample_format=sample_format or said["format"],
         first_sample=said["first_sample"],

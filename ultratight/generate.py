@@ -153,6 +153,8 @@ def plan(
     world = FileWorld(scenario, seed)
     first = if_source(world, world.signal_between(0, 1), kind, rms)  # refuses what cannot be
     n = round(duration_s * f.sample_rate_hz)
+    if n < 1:
+        raise InvalidInput(f"--duration: {duration_s:g} given, expected at least one sample")
     places, made = Places.of(out, data), _made(world, kind, rms)
     kept = Kept() if fresh else read_journal(places, made)
     if kept.n_samples > n:

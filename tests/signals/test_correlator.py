@@ -388,3 +388,15 @@ def test_bad_commands_are_refused(command):
         SampleCorrelator(source, np.ones(1023, np.int8), OFFSETS)
     with pytest.raises(ValueError, match="offset_chips"):
         SampleCorrelator(source, chips(1), np.array([np.nan]))
+
+
+@pytest.mark.parametrize("phase", [1e19, -1e19, 1e300])
+def test_a_phase_without_a_fraction_in_float64_is_refused(phase: float) -> None:
+    one = np.ones((1, 1))
+    nco = Nco(
+        np.array([0.0, 1e-3]), phase * one, CA_CHIP_RATE_HZ * one, one, one, one,
+        np.array([1023]), np.array([True]),
+    )  # fmt: skip
+    correlator = SampleCorrelator(noise(4000), chips(1), OFFSETS)
+    with pytest.raises(ValueError, match=r"code_phase_chips of a valid channel is -?1e"):
+        correlator(nco)

@@ -161,3 +161,26 @@ def test_packed_samples_say_how_they_are_packed() -> None:
     assert side["mark"] == "ultratight-if-1"
     assert "first value in the lowest bits" in side["layout"]
     assert side["captures"][0]["core:frequency"] == GPS_L1_HZ - IF
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("captures", 5), ("captures", ["a"]), ("core:frequency", [1]), ("core:offset", None)],
+)
+def test_metadata_of_the_wrong_shape_are_one_line(tmp_path: Path, key: str, value: object) -> None:
+    np.zeros((100, 2), np.int8).tofile(tmp_path / "x.sigmf-data")
+    meta = {
+        "global": {"core:datatype": "ci8", "core:version": "1.2.0", "core:sample_rate": 4e6},
+        "captures": [{"core:sample_start": 0, "core:frequency": 1575.42e6}],
+        "annotations": [],
+    }
+    if key == "core:offset":
+        meta["global"][key] = value
+    elif key == "captures":
+        meta[key] = value
+    else:
+        meta["captures"][0][key] = value
+    (tmp_path / "x.sigmf-meta").write_text(json.dumps(meta))
+    with pytest.raises(ValueError, match="x") as error:
+        open_recording(tmp_path / "x")
+    assert "\n" not in str(error.value)

@@ -20,6 +20,7 @@ from ultratight.ins.trajectory import Motion, RigidMotion, Side
 
 SPEED_LIMIT_MPS = 12_000.0
 ACCELERATION_LIMIT_MPS2 = 10_000.0
+LEAST_HEIGHT_M = -1000.0
 _DEGREE = 5
 _GEODETIC, _ECEF = ("t_s", "lat_deg", "lon_deg", "h_m"), ("t_s", "x_m", "y_m", "z_m")
 _EXPECTED = f"expected a header {','.join(_GEODETIC)} or {','.join(_ECEF)}"
@@ -37,7 +38,7 @@ class RecordedMotion(RigidMotion):
     ------
     ValueError
         Shapes that disagree, times that do not rise, numbers that are not finite, a spline faster
-        than 12 km/s or with more than 10 000 m/s2.
+        than 12 km/s, with more than 10 000 m/s2 or deeper than 1 km below the ellipsoid.
     """
 
     def __init__(self, t_s: np.ndarray, r_eb_e: np.ndarray) -> None:
@@ -114,6 +115,12 @@ class RecordedMotion(RigidMotion):
     def _check(self) -> None:
         """Refuse what no vehicle does: at the points and between them."""
         t = np.union1d(self.t_s, 0.5 * (self.t_s[1:] + self.t_s[:-1]))
+        height_m = geodetic_from_ecef(self.origin + self._position(t))[2]
+        if not height_m.min() >= LEAST_HEIGHT_M:
+            raise ValueError(
+                f"height {height_m.min():.4g} m at t = {t[height_m.argmin()]:g} s, expected "
+                f"{LEAST_HEIGHT_M:g} m or more"
+            )
         limits = (
             ("speed", "m/s", 1, SPEED_LIMIT_MPS),
             ("acceleration", "m/s2", 2, ACCELERATION_LIMIT_MPS2),
