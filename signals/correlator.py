@@ -45,6 +45,7 @@ Method = Literal["exact", "integer", "binned"]
 _ENGINES = {
     "exact": ("signals.exact", "Exact"),
     "integer": ("signals.correlator_integer", "Integer"),
+    "binned": ("signals.correlator_binned", "Binned"),
 }
 _NCO_TYPES = (np.float64,) * 6 + (np.int64, np.bool_)
 _BLOCK = 1 << 17  # samples taken from the source at a time
@@ -78,6 +79,13 @@ class SampleCorrelator:
         is noise of 0.6 % (45 dB below the tap's own), whatever the Doppler and the intermediate
         frequency.  Twice as fast with AVX-512 VNNI, else slower than ``exact``: for long runs
         where 2e-4 dB of C/N0 do not matter.
+    ``binned``
+        int8 samples only; the error is below 5e-4, by the carrier alone.  For high sampling
+        rates: its work grows with chips and distinct delays (modulo a chip), not with samples
+        and taps.  Takes 2 samples per bin and more, where the delays and half a chip cut a chip
+        into bins, at most 30 in the widest; and a carrier, intermediate frequency included, that
+        turns by 0.018 of a cycle in the widest bin (38 kHz for half a chip of C/A).  With half-chip
+        delays faster than ``exact`` from some 10 MHz on.
 
     Raises
     ------
