@@ -57,6 +57,9 @@ def _cases(scene: Scene, fs: float, dump_s: float) -> list[Case]:
     if cpu.path() == "avx512":
         cases.append(_case("integer", scene, 3, target=4.8, error_target=0.012, limit=8.2))
         cases.append(_case("integer", scene, 5, error_target=0.012))
+        if fs >= 2e7:
+            cases.append(_case("binned", scene, 3, target=5.5, error_target=1e-3))
+            cases.append(_case("binned", scene, 5, error_target=1e-3))
     return cases
 
 
