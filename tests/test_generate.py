@@ -577,7 +577,7 @@ BAD = {
     "rms": ("--duration 1 --out x --rms 0.1", "ci8: sigma is 0.1: expected 1 to 40"),
     "rms of 2 bits": (
         "--duration 1 --out x --rms 1 --format ci2p",
-        "ci2p: sigma is 1.0: expected none",
+        "--rms: 1 given, expected none: ci2p has fixed levels",
     ),
     "folder": ("--duration 1 --out no-such/x", "no such folder no-such"),
     "no trajectory": ("--duration 1 --out x --trajectory no.csv", 'trajectory: "no.csv" given'),
