@@ -18,12 +18,11 @@ from signals.code_start import nominal, symbol_span
 from signals.constants import C_MPS, GPS_L1_HZ, OMEGA_EARTH
 from signals.navigation_message import lnav_bits
 from signals.noise import generator
-from signals.nominal import nominal_24
+from signals.nominal import galileo_24, nominal_24
 from signals.propagation import SignalState, elevation_azimuth
 from signals.rinex import read_navigation
 from signals.satellites import TOE, Constellation
 from signals.signal_row import Signal
-from signals.walker import galileo_24
 from ultratight.ins.earth import geodetic_from_ecef
 from ultratight.scenario import InvalidInput, Scenario
 from ultratight.tracking.channels import Channels

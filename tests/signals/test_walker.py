@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from signals.nominal import galileo_24
 from signals.satellites import orbit
-from signals.walker import galileo_24
 
 WEEK, TOW = 2149, 475_220.0
 
