@@ -83,7 +83,7 @@ def _set_up(scenario: Scenario) -> None:
 
 
 def _threads() -> list[Case]:
-    scene = make(25e6, 0.02)
+    scene = make(25e6, 0.02, 0.2)
     offsets = np.array([-0.5, 0.0, 0.5])
     n = scene.recording.end_sample
     cases = []

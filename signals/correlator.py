@@ -17,7 +17,7 @@ cells float64.
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable
 from importlib import import_module
 from typing import Literal
 
@@ -39,6 +39,7 @@ from signals.plan import (
 )
 from signals.recording import IfSource
 from signals.replica import Replicas, replicas
+from signals.threads import Threads
 
 Method = Literal["exact", "integer", "binned"]
 
@@ -49,6 +50,7 @@ _ENGINES = {
 }
 _NCO_TYPES = (np.float64,) * 6 + (np.int64, np.bool_)
 _BLOCK = 1 << 17  # samples taken from the source at a time
+_BLOCK_OF_THREADS = 1 << 19  # worth a thread's waking
 _UNKNOWN: Planned = 0, 0, 0, REFUSED, 0
 _INT8 = np.dtype(np.int8)
 _NO_INT8, _NO_FLOAT32 = np.empty(0, np.int8), np.empty(0, np.float32)
@@ -116,13 +118,15 @@ class SampleCorrelator:
             chips = replicas(list(chips))
         n_channel, n_tap = chips.first.size, self.offset_chips.size
         self._source, self._n_channel = source, n_channel
-        self._shares = np.linspace(0, n_channel, workers + 1).astype(int).tolist()
         module, name = _ENGINES[method]
         engine = getattr(import_module(module), name)  # where it is used: kernels take time to load
         self._engines = [engine(chips, self.offset_chips) for _ in range(workers)]
-        self._pool = ThreadPoolExecutor(workers) if workers > 1 else None
+        limits = np.linspace(0, n_channel, workers + 1).astype(int).tolist()
+        self._shares = list(zip(self._engines, limits[:-1], limits[1:], strict=True))
+        self._threads = Threads(workers)
         self._span = self._engines[0].span
-        self._block = max(_BLOCK // self._span, 1) * self._span
+        block = _BLOCK if workers == 1 else _BLOCK_OF_THREADS
+        self._block = max(block // self._span, 1) * self._span
         self._end_sample = NOWHERE
         self._state = State(np.zeros((n_channel, 6), np.int64), np.zeros((n_channel, 2)))
         self._sums = np.zeros((n_channel, 1, n_tap, 2))
@@ -200,17 +204,12 @@ class SampleCorrelator:
         else:
             narrow, wide = _NO_INT8, np.ascontiguousarray(block, np.float32).ravel()
         work, sums = self._work, self._sums
-        if self._pool is None:
-            self._engines[0](0, self._n_channel, narrow, wide, n_cell, work, sums)
-            return
-        parts = [
-            self._pool.submit(engine, c0, c1, narrow, wide, n_cell, work, sums)
-            for c0, c1, engine in zip(
-                self._shares[:-1], self._shares[1:], self._engines, strict=True
-            )
-        ]
-        for part in parts:
-            part.result()
+        given = narrow, wide, n_cell, work, sums
+
+        def share(engine: Callable[..., None], c0: int, c1: int) -> None:
+            engine(c0, c1, *given)
+
+        self._threads(share, self._shares)
 
     def _checked(self, nco: Nco) -> Nco:
         """A copy of the command with the kernel's types; ValueError: shapes that disagree."""

@@ -21,10 +21,8 @@ commands of 1 ms would compute every block several times.
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -37,6 +35,7 @@ from signals.noise import stream_key
 from signals.propagation import SignalState
 from signals.recording import Recording, check_range
 from signals.replica import Replicas, replicas
+from signals.threads import Threads
 from signals.vectors import body
 
 GUARD_SAMPLES = 1e-5
@@ -145,7 +144,7 @@ class SyntheticIf:
         self._arguments = (int(key[0]), int(key[1])), levels, truth, table
         self._body = body(cpu_path())
         self._rooms = [layout(len(length), self._body) for _ in range(workers)]
-        self._pool = ThreadPoolExecutor(workers) if workers > 1 else None
+        self._threads = Threads(workers)
         self._ahead = _AHEAD * workers
         self._kept = -1, np.empty(self._shape(0), self.dtype)  # number of the first, samples
 
@@ -206,15 +205,7 @@ class SyntheticIf:
             part = out[a * BLOCK : b * BLOCK]
             generate(self._body, first + a, part, key, levels, truth, table, room)
 
-        if self._pool is None:
-            share(0, blocks, self._rooms[0])
-            return
-        parts = [
-            self._pool.submit(share, a, b, room)
-            for (a, b), room in zip(itertools.pairwise(limits), self._rooms, strict=True)
-        ]
-        for done in parts:
-            done.result()
+        self._threads(share, list(zip(limits[:-1], limits[1:], self._rooms, strict=True)))
 
     def record(
         self,
