@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.harness import ROUNDS, Row, measure
-from benchmarks.peers import MACHINE
+from benchmarks.peers import MACHINE, PLAIN_GSPS, YARDSTICK
 
 GROUPS = ("correlator", "generator", "receiver", "loop", "startup")
 PATHS = ("avx512", "avx2", "portable")
@@ -43,6 +43,8 @@ def main(
         report["groups"].append(group)
         if out is None or str(out) != "-":
             _print(group)
+    if out is None or str(out) != "-":
+        _print_yardstick(report["groups"])
     if out is not None:
         text = json.dumps(report, indent=1)
         if str(out) == "-":
@@ -93,6 +95,16 @@ def _machine() -> dict[str, Any]:
     }
 
 
+def _print_yardstick(groups: list[dict[str, Any]]) -> None:
+    """How fast this machine was, so that absolute figures can be read."""
+    plain = [r["figure"] for g in groups for r in g["rows"] if r["name"] == YARDSTICK]
+    if plain:
+        print(
+            f"{YARDSTICK}: {min(plain):.3f}-{max(plain):.3f} G/s here, {PLAIN_GSPS} where "
+            "the targets were set; ratios to it do not depend on clock and load as much"
+        )
+
+
 def _print(group: dict[str, Any]) -> None:
     table = Table(title=f"{group['title']}  [{group['cpu_path']}]", title_justify="left")
     columns = ("", "figure", "unit", "target", "of limit", "x baseline", "error", "peers, note")
@@ -106,15 +118,17 @@ def _print(group: dict[str, Any]) -> None:
 
 def _cells(row: Row) -> tuple[str, ...]:
     sign = "<=" if row.cost else ">="
-    mark = {None: "", True: " met", False: " MISSED"}[row.met]
+    marks = {None: "", True: " met", False: " MISSED"}
+    mark = marks[row.met]
     target = "" if row.target is None else f"{sign} {row.target:g}"
     of_limit = "" if row.limit is None else f"{row.figure / row.limit:.0%} of {row.limit:g}"
     ratio = "" if row.ratio is None else f"{row.ratio:.3g}"
     if row.ratio_target is not None:
-        ratio += f" (>= {row.ratio_target:g}){mark}"
+        ratio += f" (>= {row.ratio_target:g}){marks[row.ratio_met]}"
     error = "" if row.error is None else f"{row.error:.1e}"
     if row.error_target is not None:
         error += f" (<= {row.error_target:g})"
+        error += mark if row.target is None else ""
     note = "; ".join(text for text in (row.peer, row.note) if text)
     return row.name, f"{row.figure:.3g}", row.unit, target + mark, of_limit, ratio, error, note
 

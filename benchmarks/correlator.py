@@ -36,7 +36,7 @@ def _cases(scene: Scene, fs: float, dump_s: float) -> list[Case]:
     n_plain = round(0.002 * fs)
     cases = [
         Case(
-            "plain loop, float64, 3 taps",
+            peers.YARDSTICK,
             lambda: baselines.plain_correlator(scene, TAPS[3], n_plain),
             N_CHANNEL * n_plain, UNIT, 1e-9,
         ),
@@ -65,11 +65,13 @@ def _cases(scene: Scene, fs: float, dump_s: float) -> list[Case]:
 
 def _case(method: Any, scene: Scene, n_tap: int, **given: Any) -> Case:
     correlator = SampleCorrelator(scene.recording, scene.chips, TAPS[n_tap], method=method)
+    target = given.get("target")
     return Case(
         f"{method}, {n_tap} taps", lambda: correlator(scene.nco),
         N_CHANNEL * scene.duration_s * scene.fs, UNIT, 1e-9,
-        baseline="plain loop, float64, 3 taps",
+        baseline=peers.YARDSTICK,
         error=lambda: error(scene, correlator(scene.nco), TAPS[n_tap]),
+        ratio_target=None if target is None else round(target / peers.PLAIN_GSPS),
         **given,
     )  # fmt: skip
 

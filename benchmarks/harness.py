@@ -55,6 +55,7 @@ class Row:
     ratio: float | None
     """Median over the turns of the ratio to the baseline, above 1 is faster"""
     ratio_target: float | None
+    ratio_met: bool | None
     baseline: str
     error: float | None
     error_target: float | None
@@ -104,12 +105,13 @@ def _row(case: Case, seconds: dict[str, list[float]], work: dict[str, float]) ->
     met = None
     if case.target is not None:
         met = figure <= case.target if case.cost else figure >= case.target
+    ratio_met = None
     if ratio is not None and case.ratio_target is not None:
-        met = ratio >= case.ratio_target
+        ratio_met = ratio >= case.ratio_target
     if error is not None and case.error_target is not None:
         met = (met is None or met) and error <= case.error_target
     return Row(
         case.name, figure, case.unit, case.target, met, case.limit, ratio,
-        case.ratio_target, case.baseline, error,
+        case.ratio_target, ratio_met, case.baseline, error,
         case.error_target, case.peer, case.note, case.cost, mine,
     )  # fmt: skip

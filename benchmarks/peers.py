@@ -9,6 +9,11 @@ from __future__ import annotations
 MACHINE = "Xeon with AVX-512 at some 3.7 GHz, one core, thread CPU time, gcc 12 -O3"
 """Its own limits: 7.45 G AVX-512 FMA instructions/s, L1 270-410 GB/s, L2 170-190 GB/s"""
 
+YARDSTICK = "plain loop, float64, 3 taps"
+"""The case of `correlator` that says how fast this machine is at the moment"""
+PLAIN_GSPS = 0.042
+"""What it made there [G channel-samples/s]"""
+
 _VOLK = {
     (4, 1, 3): 0.336, (4, 1, 5): 0.199, (4, 20, 3): 0.315,
     (25, 1, 3): 0.349, (25, 1, 5): 0.210, (25, 20, 3): 0.283,
