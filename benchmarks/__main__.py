@@ -120,7 +120,7 @@ def _cells(row: Row) -> tuple[str, ...]:
     sign = "<=" if row.cost else ">="
     marks = {None: "", True: " met", False: " MISSED"}
     mark = marks[row.met]
-    target = "" if row.target is None else f"{sign} {row.target:g}"
+    target = "" if row.target is None else f"{sign} {row.target:g}{mark}"
     of_limit = "" if row.limit is None else f"{row.figure / row.limit:.0%} of {row.limit:g}"
     ratio = "" if row.ratio is None else f"{row.ratio:.3g}"
     if row.ratio_target is not None:
@@ -130,7 +130,7 @@ def _cells(row: Row) -> tuple[str, ...]:
         error += f" (<= {row.error_target:g})"
         error += mark if row.target is None else ""
     note = "; ".join(text for text in (row.peer, row.note) if text)
-    return row.name, f"{row.figure:.3g}", row.unit, target + mark, of_limit, ratio, error, note
+    return row.name, f"{row.figure:.3g}", row.unit, target, of_limit, ratio, error, note
 
 
 if __name__ == "__main__":
