@@ -83,4 +83,5 @@ def process_noise(scenario: Scenario, errors: ImuErrors) -> ProcessNoise:
         gyro_bias=2.0 * gyro**2 / errors.gyro_bias_tau_s,
         clock_sf=clock.bias_psd,
         clock_sg=clock.drift_psd,
+        scale_factor=ppm(told.accel_scale_factor_ppm_sqrt_s) ** 2,
     )

@@ -24,8 +24,12 @@ if TYPE_CHECKING:
 
 ECEF, BODY = np.array(["x", "y", "z"]), np.array(["forward", "right", "down"])
 ERRORS = ("r", "v", "psi", "accel_bias", "gyro_bias")
-STATE = np.array([f"{name}_{axis}" for name in ERRORS for axis in ECEF] + ["clock_m", "clock_rate"])
-"""The 17 states of the covariance"""
+STATE = np.array(
+    [f"{name}_{axis}" for name in ERRORS for axis in ECEF]
+    + ["clock_m", "clock_rate"]
+    + [f"accel_scale_factor_{axis}" for axis in ECEF]
+)
+"""The states of the covariance: 17, or 20 with the scale factors"""
 LABELS = {
     "xyz": (ECEF, "ECEF axis"),
     "row": (ECEF, "ECEF axis"),
@@ -71,8 +75,9 @@ class History:
             name: Variable(self.rows[name], (EPOCH, *dims), units, text)
             for name, (_, dims, units, text) in self.fields.items()
         }
-        for dim in dict.fromkeys(d for v in out.values() for d in v.dims if d in LABELS):
-            out[dim] = Variable(LABELS[dim][0], (dim,), "", LABELS[dim][1])
+        for dim, size in [x for v in out.values() for x in zip(v.dims, v.data.shape, strict=True)]:
+            if dim in LABELS:
+                out[dim] = Variable(LABELS[dim][0][:size], (dim,), "", LABELS[dim][1])
         out["channel"] = Variable(np.array(names), ("channel",), "", "signal of each channel")
         if self.nco_freq is not None and self.nco_code is not None:
             out["nco_carrier_freq"] = Variable(
@@ -129,6 +134,9 @@ def truth_variables(world: World, t_s: np.ndarray) -> dict[str, Variable]:
         ),
         "gyro_bias_true": Variable(
             gyro_bias, (EPOCH, "axis"), "rad/s", "true gyro bias, body axes"
+        ),
+        "accel_scale_factor_true": Variable(
+            sensors["accel_scale_factor"], ("axis",), "1", "true accelerometer scale factor"
         ),
         "clock_m_true": Variable(clock_m, (EPOCH,), "m", "true receiver clock bias"),
         "clock_rate_true": Variable(clock_rate, (EPOCH,), "m/s", "true receiver clock drift"),

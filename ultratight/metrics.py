@@ -80,7 +80,7 @@ def nees_17(run: Run, times_s: Sequence[float]) -> np.ndarray:
     It has the expectation 17 only where the IMU obeys the filter's model (grade "matched").
     """
     rows = np.abs(run.t_s[:, None] - np.asarray(times_s)).argmin(axis=0)
-    return nees(error_state(run, rows), run["covariance"][rows])
+    return nees(error_state(run, rows), run["covariance"][rows][:, :17, :17])
 
 
 def nis_per_measurement(run: Run, mask: np.ndarray) -> float | None:

@@ -109,6 +109,8 @@ class Knows(Table):
     clock_sigma_m: Annotated[float, Field(gt=0.0, le=3e3)] = 10.0
     clock_rate_sigma_mps: Annotated[float, Field(gt=0.0, le=50.0)] = 0.5
     cn0_sigma_db: Annotated[float, Field(ge=0.0, le=10.0)] = 1.0
+    accel_scale_factor_sigma_ppm: Annotated[float, Field(gt=0.0, le=1e5)] = 3000.0
+    """First sigma of the scale-factor states of a 20-state filter, which start at zero"""
 
 
 class ProcessNoise(Table):
@@ -118,6 +120,8 @@ class ProcessNoise(Table):
     angle_random_walk_rad_sqrt_s: Annotated[float, Field(ge=0.0, le=0.1)] | None = None
     accel_bias_in_run_ug: NotNegative | None = None
     gyro_bias_in_run_deg_h: Annotated[float, Field(ge=0.0, le=1e5)] | None = None
+    accel_scale_factor_ppm_sqrt_s: Annotated[float, Field(ge=0.0, le=1e4)] = 0.0
+    """Random walk of the scale-factor states; 0: constants, as those of the IMU are"""
     clock_model: str | None = None
 
 
@@ -128,6 +132,8 @@ class Receiver(Table):
     """Who closes the loop: the filter, channel loops, or channel loops with INS aiding"""
     filter: str = "fiqkf-r"
     """Ultra-tight only; see `ultratight filters`"""
+    states: Literal[17, 20] | None = None
+    """20: three accelerometer scale factors more; by default what the filter's row says"""
     measurement: Literal["coherent", "differential"] = "coherent"
     """Ultra-tight only: carrier phase with known data bits, or phase change within a bit"""
     epoch_s: Annotated[float, Field(ge=0.001, le=0.1)] = 0.02

@@ -168,6 +168,7 @@ def new_closure(scenario: Scenario, knows: Knows, filter: Filter | None = None) 
             hand_over_s=r.hand_over_s,
             fall_back=r.fall_back,
             epoch_s=r.epoch_s,
+            states=getattr(filter, "states", 17) if r.states is None else r.states,
         )
         return UltraTight(knows, settings, filter, spacing, piece_s)
     if filter is not None:

@@ -317,6 +317,7 @@ class World:
             noise=np.array(process_noise(s, e)),
             data_bits=self.signal.symbols if k.data_bits else None,
             first_bit=self.signal.first_symbol,
+            scale_factor_sigma=1e-6 * k.accel_scale_factor_sigma_ppm,
         )
 
 

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from ultratight.filters.gaussian import Gaussian, predict, update
-from ultratight.filters.interval import IntervalQ, intersect_boxes, intersect_printed
+from ultratight.filters.interval import IntervalQ, VelocityQ, intersect_boxes, intersect_printed
 from ultratight.filters.rules import RULES
+from ultratight.ins.error_state import Layout, ProcessNoise, transition
 
 pytestmark = pytest.mark.nojit
 
@@ -83,7 +84,26 @@ def test_interval_q_turns_with_the_body(make):
     )
 
 
+def test_velocity_noise_is_that_of_a_worse_data_sheet(make):
+    """The same Q as `transition` gives with the larger density: phases and all."""
+    rng = np.random.default_rng(2)
+    layout, T = Layout.build(True, 7), 0.02
+    u = rng.standard_normal((7, 3))
+    where = (rng.standard_normal(3) * 6.4e6, np.eye(3), np.array([50.0, 2.0, -9.8]), u, T)
+    sheet = ProcessNoise(1e-6, 2e-9, 5e-8, 2e-14, 4.5e-5, 0.0355)
+    phi, q = transition(layout, sheet, *where)
+    step = make.prediction(27, 7, phi, q, layout)
+    _, expected = transition(layout, sheet._replace(velocity=1e-6 + 0.1**2), *where)
+    found = VelocityQ(0.1).apply(step).q
+    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-22)
+    np.testing.assert_array_equal(found, found.T)
+    np.testing.assert_array_equal(step.q, q)  # the caller's array is left alone
+    assert found[3, 3] - q[3, 3] == pytest.approx(0.1**2 * T, rel=1e-6)
+
+
 def test_bad_bounds_are_refused():
+    with pytest.raises(ValueError, match="velocity random walk: 0"):
+        VelocityQ(0.0)
     with pytest.raises(ValueError, match="none below 0"):
         IntervalQ(scale_factor=-1e-3)
     with pytest.raises(ValueError, match="correlation_s: 0"):

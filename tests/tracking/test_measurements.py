@@ -34,11 +34,12 @@ def differential(bits, spacing=SPACING, clock_sf=0.0, steering=LEVEL, t_s=T_S):
     return measure(bits, steering, t_s, 17, 17, *CODE, spacing, clock_sf, memory)
 
 
-def coherent(bits, spacing=SPACING, clock_sf=0.0, steering=LEVEL, t_s=T_S):
+def coherent(bits, spacing=SPACING, clock_sf=0.0, steering=LEVEL, t_s=T_S, phase_start=17):
     """Model C of one channel, all data bits +1."""
     memory = Amplitudes(np.array([A2]), np.zeros(1, complex))
     data = np.ones((1, 10_000), np.int8)
-    return measure(bits, steering, t_s, 18, 17, *CODE, spacing, clock_sf, memory, data)
+    n = phase_start + 1
+    return measure(bits, steering, t_s, n, phase_start, *CODE, spacing, clock_sf, memory, data)
 
 
 def taps(dr, dv, p=0.0, n_bit=1, noise=False, seed=1, spacing=SPACING):
@@ -157,7 +158,8 @@ def test_oscillator_noise_enters_the_differential_phase():
     assert noisy - quiet == pytest.approx(turn.var(), rel=4.0 * np.sqrt(2.0 / 20_000) + 0.005)
 
 
-def test_projection_is_the_derivative_of_range_and_rate_at_the_middle_of_the_bit():
+@pytest.mark.parametrize("n_scale", [0, 3])
+def test_projection_is_the_derivative_of_range_and_rate_at_the_middle_of_the_bit(n_scale):
     """A against a finite difference of range(t_mid), with the state carried back to t_mid."""
     rng = np.random.default_rng(7)
     C = np.linalg.qr(rng.standard_normal((3, 3)))[0]
@@ -173,21 +175,22 @@ def test_projection_is_the_derivative_of_range_and_rate_at_the_middle_of_the_bit
     s.C_b_e[:], s.lever_arm_b[:], s.mean_force[0], s.u[0] = C, arm_b, force_b, u
     s.last_alpha[:] = turn_b * 0.005
     arm_rate = np.cross(C @ turn_b - [0.0, 0.0, OMEGA_EARTH], C @ arm_b)
-    A = coherent(paired, steering=s, t_s=t).A[0]
+    A = coherent(paired, steering=s, t_s=t, phase_start=17 + n_scale).A[0]
     back = t_mid - t
 
     def errors(x):
         """(range, phase, rate) at t_mid of an error state x at t; constant acceleration error."""
         psi = x[6:9]
         accel = np.cross(psi, C @ force_b) - C @ x[9:12]
+        accel -= C @ (x[17 : 17 + n_scale] * force_b[:n_scale]) if n_scale else 0.0
         velocity = x[3:6] + np.cross(psi, arm_rate)
         rate = -u @ (velocity + back * accel) + x[16]
         moved = -u @ (back * velocity + 0.5 * back**2 * accel) + back * x[16]
         level = -u @ (x[:3] + np.cross(psi, C @ arm_b)) + x[15]
-        return np.array([level + moved, x[17] + moved, rate])
+        return np.array([level + moved, x[-1] + moved, rate])
 
-    for k in range(18):
-        x = np.zeros(18)
+    for k in range(18 + n_scale):
+        x = np.zeros(18 + n_scale)
         x[k] = 1.0
         np.testing.assert_allclose(A[:, k], errors(x), atol=1e-12, err_msg=str(k))
 

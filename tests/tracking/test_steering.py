@@ -156,6 +156,24 @@ def test_after_feedback_of_the_true_error_the_past_is_that_of_the_truth(world):
             assert np.abs(rest).max() < 2e-4  # the Sagnac and geometry terms of 0.4 m/s x 20 ms
 
 
+def test_a_known_scale_factor_and_bias_are_undone(world):
+    """An IMU that reports (1 + s) f + b, and an INS that was told s and b: that of the truth."""
+    scale, bias = np.array([3e-3, -1e-3, 2e-3]), np.array([0.01, 0.02, -0.03])
+    imu = increments(world, START_S)
+    flown = []
+    for known in (0.0, 1.0):
+        s = perfect_state(world, START_S)
+        dt = 0.005 * (1.0 - s.clock[1] / C_MPS)
+        x = np.zeros(20)
+        x[9:12], x[17:] = known * bias, known * scale
+        feed_back(s.buffer, sky(world), x, np.zeros(world.prn.size), START_S)
+        nu = imu.nu_ib_b * (1.0 + known * scale) + known * bias * dt
+        command(world, s, imu._replace(nu_ib_b=nu))
+        flown.append((s.v_eb_e.copy(), s.mean_force[0].copy()))
+    for with_errors, without in zip(flown[1], flown[0], strict=True):
+        np.testing.assert_allclose(with_errors, without, rtol=0.0, atol=1e-10)
+
+
 def test_mean_known_is_the_integral_over_the_pieces():
     """Against adaptive quadrature of the piecewise cubic."""
     rng = np.random.default_rng(5)

@@ -20,7 +20,7 @@ from ultratight.filters.gaussian import (
     predict,
     update,
 )
-from ultratight.filters.interval import IntervalQ, intersect_boxes, intersect_printed
+from ultratight.filters.interval import IntervalQ, VelocityQ, intersect_boxes, intersect_printed
 from ultratight.filters.rules import get_rule
 
 __all__ = [
@@ -50,10 +50,18 @@ class Recipe:
     fading: FadingOptions | None = None
     intersect: Callable[[Gaussian, Update], Update] | None = None  # applied to the update
     interval_q: IntervalQ | None = None  # applied before the prediction
+    velocity_q: VelocityQ | None = None  # so is this
+    states: int = 17  # 20: with three accelerometer scale factors
 
 
 _QKF = "quadrature filter, Gauss-Hermite in the projected space of each channel"
-_INTQ = "bounds on scale factor and latency as covariance"
+_INTQ = "bound of 3000 ppm on scale factor as covariance"
+_INT2 = "bounds of 3000 ppm and 10 ms latency as covariance"
+_INT3 = "bounds of 3000 ppm, 10 ms and 1 ppb/g (oscillator) as covariance"
+_20 = "with accelerometer scale factors as states"
+_VRW = "velocity random walk added at all times"
+BY_SCALE = IntervalQ(latency_s=0.0)
+BY_CLOCK = IntervalQ(g_sensitivity_ppb_per_g=1.0)
 CATALOG: dict[str, Recipe] = {
     "kf": Recipe("extended Kalman filter", "Groves, 2nd ed., ch. 3 and 14", "linearised"),
     "qkf": Recipe(f"{_QKF}, 7 points", XU),
@@ -91,9 +99,19 @@ CATALOG: dict[str, Recipe] = {
     "fikf-r": Recipe("extended Kalman filter with the fading of fiqkf-r", OURS, "linearised",
                      fading=BLOCK),
     "kf-intq": Recipe(f"extended Kalman filter, {_INTQ}", OURS, "linearised",
-                      interval_q=IntervalQ()),
-    "qkf-intq": Recipe(f"quadrature filter, {_INTQ}", OURS, interval_q=IntervalQ()),
-    "fiqkf-r-intq": Recipe(f"fiqkf-r, {_INTQ}", OURS, fading=BLOCK, interval_q=IntervalQ()),
+                      interval_q=BY_SCALE),
+    "qkf-intq": Recipe(f"quadrature filter, {_INTQ}", OURS, interval_q=BY_SCALE),
+    "qkf-int2": Recipe(f"quadrature filter, {_INT2}", OURS, interval_q=IntervalQ()),
+    "qkf-int3": Recipe(f"quadrature filter, {_INT3}", OURS, interval_q=BY_CLOCK),
+    "fiqkf-r-intq": Recipe(f"fiqkf-r, {_INTQ}", OURS, fading=BLOCK, interval_q=BY_SCALE),
+    "fiqkf-r-int2": Recipe(f"fiqkf-r, {_INT2}", OURS, fading=BLOCK, interval_q=IntervalQ()),
+    "fiqkf-r-int3": Recipe(f"fiqkf-r, {_INT3}", OURS, fading=BLOCK, interval_q=BY_CLOCK),
+    "qkf-vrw0.03": Recipe(f"quadrature filter, 0.03 m/s/sqrt(s) of {_VRW}", OURS,
+                          velocity_q=VelocityQ(0.03)),
+    "qkf-vrw0.1": Recipe(f"quadrature filter, 0.1 m/s/sqrt(s) of {_VRW}", OURS,
+                         velocity_q=VelocityQ(0.1)),
+    "qkf-20": Recipe(f"quadrature filter {_20}", "Groves, 2nd ed., ch. 14", states=20),
+    "fiqkf-r-20": Recipe(f"fiqkf-r {_20}", OURS, fading=BLOCK, states=20),
 }  # fmt: skip
 """Name -> recipe"""
 
@@ -106,6 +124,11 @@ class RecipeFilter:
         self.rule = get_rule(recipe.rule)
         self.fading = None if recipe.fading is None else Fading(recipe.fading)
 
+    @property
+    def states(self) -> int:
+        """How many error states it wants, without the channels' phases."""
+        return self.recipe.states
+
     def reset(self) -> None:
         """Forget the innovations seen."""
         if self.fading is not None:
@@ -116,6 +139,8 @@ class RecipeFilter:
         recipe = self.recipe
         if recipe.interval_q is not None:
             state, prediction = recipe.interval_q.apply(state, prediction)
+        if recipe.velocity_q is not None:
+            prediction = recipe.velocity_q.apply(prediction)
         if self.fading is not None:
             prior, result = self.fading.step(
                 state, prediction, measurement, self.rule, recipe.iterations

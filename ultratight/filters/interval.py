@@ -5,6 +5,7 @@ d = K nu; the intersection of [x - w/2, x + w/2] and [x + d - w/2, x + d + w/2] 
 x + d/2 and empty when |d| > w.  So (40)-(42) halves the gain while |K nu| < w, and does nothing
 otherwise.  Both intersections are kept as documented negative results.  What an interval is good
 for is interval-Q: bounds on model parameters become a covariance, and no innovation is used.
+Its plain rival is a velocity noise that is larger at all times (`VelocityQ`).
 """
 
 from __future__ import annotations
@@ -77,7 +78,38 @@ class IntervalQ:
         return Gaussian(state.mean, P), prediction._replace(q=Q)
 
 
+@dataclass(frozen=True)
+class VelocityQ:
+    """White acceleration beyond the data sheet's, at all times: Q += T (Phi G Phi' + G) / 2."""
+
+    density: float  # velocity random walk [m/s/sqrt(s)]
+
+    def __post_init__(self) -> None:
+        if not self.density > 0.0:
+            raise ValueError(f"velocity random walk: {self.density}, expected > 0")
+
+    def apply(self, prediction: Prediction) -> Prediction:
+        """The prediction with Q widened."""
+        q = np.array(prediction.q)
+        per_half = 0.5 * prediction.T * self.density**2
+        _add_velocity_noise(prediction.phi, prediction.layout.v.start, per_half, q)
+        return prediction._replace(q=q)
+
+
 # ---------------------------------------------------------------------------------- kernels
+
+
+@kernel
+def _add_velocity_noise(phi: np.ndarray, v: int, per_half: float, q: np.ndarray) -> None:
+    """q (n, n) += per_half (Phi E Phi' + E), E the identity on rows v..v+2."""
+    n = q.shape[0]
+    for k in range(v, v + 3):
+        for i in range(n):
+            if phi[i, k] != 0.0:
+                for j in range(n):
+                    # in this order the two halves of Q get the same bits
+                    q[i, j] += per_half * (phi[i, k] * phi[j, k])
+        q[k, k] += per_half
 
 
 @kernel

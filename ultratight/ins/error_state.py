@@ -29,6 +29,8 @@ from ultratight.ins.earth import gravity_gradient_into
 
 R, V, PSI, ACCEL_BIAS, GYRO_BIAS, CB, CD, SCALE_FACTOR = 0, 3, 6, 9, 12, 15, 16, 17
 """First rows of the blocks, for kernels; the phases follow the scale factors, if any."""
+N_WITH_SCALE = SCALE_FACTOR + 3
+"""States with the accelerometer scale factors, without phases"""
 CLOCK_SF, CLOCK_SG, SCALE, PHASE = 4, 5, 6, 7
 """Where `ProcessNoise` has them; before them the blocks from V on"""
 

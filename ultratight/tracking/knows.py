@@ -37,15 +37,16 @@ class Knows:
     noise: np.ndarray  # densities from the data sheets, in the order of ProcessNoise
     data_bits: np.ndarray | None = None  # (n_channel, n_bit) int8 of +-1
     first_bit: int = 0  # number of the bit in column 0
+    scale_factor_sigma: float = 3e-3  # of each accelerometer axis, for a filter with such states
 
     @property
     def process_noise(self) -> ProcessNoise:
         """Densities of the filter's process noise, from the data sheets."""
         return ProcessNoise(*(float(x) for x in self.noise))
 
-    def initial_covariance(self) -> np.ndarray:
-        """(17, 17) diagonal covariance of the first error state."""
-        return np.diag(self.sigma**2)
+    def initial_covariance(self, n_scale: int = 0) -> np.ndarray:
+        """Diagonal covariance of the first error state, with ``n_scale`` scale factors behind."""
+        return np.diag(np.append(self.sigma, np.full(n_scale, self.scale_factor_sigma)) ** 2)
 
     def save(self, path: str | Path) -> None:
         """Write everything to one ``.npz`` file."""

@@ -132,7 +132,7 @@ def _measure(
         params[b, SPACING] = spacing
         radians_per_m = 2.0 * math.pi / params[b, WAVELENGTH]
         dt = span[b, T_MID] - t_s
-        _range_rows(s, i, dt, A[b])
+        _range_rows(s, i, dt, phase_start - 17, A[b])
         data, column = 0.0, number[b] - first_bit
         if pilot[i]:
             data = 1.0
@@ -144,7 +144,7 @@ def _measure(
         else:
             if data == 0.0:
                 return b
-            _phase_row(s, i, dt, phase_start + i, A[b])
+            _phase_row(s, i, dt, phase_start, A[b])
             unmet = radians_per_m**2 * clock_sf * (-dt - span[b, HALF] / 6.0)
             _coherent(iq[b], data, amplitude2[i], unmet, z[b], R[b])
         half = 1.0 - correlation(2.0 * spacing, params[b])
@@ -165,7 +165,7 @@ def _norm2(x: complex) -> float:
 
 
 @borrowing
-def _range_rows(s: Steering, i: int, dt: float, A: np.ndarray) -> None:
+def _range_rows(s: Steering, i: int, dt: float, n_scale: int, A: np.ndarray) -> None:
     """Rows of range (first) and range rate (last) of channel i at t + dt, from the state at t.
 
     y = A Phi(dt) x, gravity gradient left out.
@@ -194,10 +194,13 @@ def _range_rows(s: Steering, i: int, dt: float, A: np.ndarray) -> None:
     A[0, 15] = 1.0
     A[0, 16] = dt
     A[rate, 16] = 1.0
+    for k in range(n_scale):  # a scale factor acts as a bias of f_k
+        A[0, 17 + k] = f[0, k] * A[0, 9 + k]
+        A[rate, 17 + k] = f[0, k] * A[rate, 9 + k]
 
 
 @borrowing
-def _phase_row(s: Steering, i: int, dt: float, state: int, A: np.ndarray) -> None:
+def _phase_row(s: Steering, i: int, dt: float, phase_start: int, A: np.ndarray) -> None:
     """Row 1: the carrier-phase error at t + dt; it moves like the range, without its level."""
     x, y, w, _, _, _ = lever(s)
     ux, uy, uz = s.u[i, 0], s.u[i, 1], s.u[i, 2]
@@ -207,7 +210,9 @@ def _phase_row(s: Steering, i: int, dt: float, state: int, A: np.ndarray) -> Non
     for k in range(3):
         A[1, 6 + k] += arm[k]
     A[1, 16] = dt
-    A[1, state] = 1.0
+    for k in range(17, phase_start):
+        A[1, k] = A[0, k]
+    A[1, phase_start + i] = 1.0
 
 
 @borrowing

@@ -43,8 +43,9 @@ class Steering(NamedTuple):
     accel_bias: np.ndarray  # (3,) [m/s2]
     gyro_bias: np.ndarray  # (3,) [rad/s]
     clock: np.ndarray  # (2,) bias [m], drift [m/s]
+    accel_scale_factor: np.ndarray  # (3,), stays zero without states for it
     last_alpha: np.ndarray  # (3,) bias-free angle increment of the last IMU interval [rad]
-    last_nu: np.ndarray  # (3,) bias-free velocity increment of the last IMU interval [m/s]
+    last_nu: np.ndarray  # (3,) corrected velocity increment of the last IMU interval [m/s]
     last_dt: np.ndarray  # (1,) its length [s]
     mean_force: np.ndarray  # (2, 3) mean specific force, this epoch and the one before [m/s2]
     lever_arm_b: np.ndarray  # (3,) IMU to antenna [m]
@@ -64,8 +65,9 @@ class Steering(NamedTuple):
 
 
 N_NAVIGATION = 23
-"""Numbers of a buffer that say where the receiver is: r, v, C, biases, clock, in this order"""
-_FIXED = 41
+"""Numbers of a buffer that say where the receiver is: r, v, C, biases, clock, in this order; the
+accelerometer scale factors follow"""
+_FIXED = 44
 _PER_CHANNEL = 11
 
 
@@ -140,11 +142,12 @@ def _views(buffer: np.ndarray, n_channel: int) -> Steering:
         buffer[21:23],
         buffer[23:26],
         buffer[26:29],
-        buffer[29:30],
-        buffer[30:36].reshape((2, 3)),
-        buffer[36:39],
-        buffer[39:40],
-        buffer[40:41],
+        buffer[29:32],
+        buffer[32:33],
+        buffer[33:39].reshape((2, 3)),
+        buffer[39:42],
+        buffer[42:43],
+        buffer[43:44],
         channels[:n],
         channels[n : 2 * n],
         channels[2 * n : 5 * n].reshape((n, 3)),
@@ -205,9 +208,9 @@ def advance_ins(s: Steering, alpha: np.ndarray, nu: np.ndarray, dt: float) -> No
         alpha[2] - s.gyro_bias[2] * elapsed,
     )
     push = (
-        nu[0] - s.accel_bias[0] * elapsed,
-        nu[1] - s.accel_bias[1] * elapsed,
-        nu[2] - s.accel_bias[2] * elapsed,
+        (nu[0] - s.accel_bias[0] * elapsed) / (1.0 + s.accel_scale_factor[0]),
+        (nu[1] - s.accel_bias[1] * elapsed) / (1.0 + s.accel_scale_factor[1]),
+        (nu[2] - s.accel_bias[2] * elapsed) / (1.0 + s.accel_scale_factor[2]),
     )
     strapdown_step(s.r_eb_e, s.v_eb_e, s.C_b_e, turn, push, s.last_alpha, s.last_nu, elapsed)
     s.clock[0] += s.clock[1] * dt
@@ -306,8 +309,9 @@ def feed_back(
 ) -> None:
     """Correct INS, clock and NCO phases by an estimated error, and the memory with them.
 
-    ``buffer`` of a `Steering` at receiver time t_s.  x (>= 17,): r v psi accel_bias gyro_bias cb
-    cd.  phase_m (n_channel,): carrier-phase error in metres (zero in the differential model).
+    ``buffer`` of a `Steering` at receiver time t_s.  x (17,) or (20,): r v psi accel_bias
+    gyro_bias cb cd, and accel_scale_factor where there are states for it.  phase_m
+    (n_channel,): carrier-phase error in metres (zero in the differential model).
     The reference of past pieces is corrected too, so that an integration that began before the
     correction is still compared with one trajectory.
     """
@@ -325,6 +329,8 @@ def feed_back(
     make_orthonormal(s.C_b_e)
     s.clock[0] += x[15]
     s.clock[1] += x[16]
+    for i in range(x.size - 17):
+        s.accel_scale_factor[i] += x[17 + i]
     predict(s, sky, t_s)
     for i in range(n_channel):
         # the NCO's phase moves by the phase correction only, not by that of position and clock

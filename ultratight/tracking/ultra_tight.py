@@ -10,7 +10,13 @@ import numpy as np
 from signals.compiled import borrowing
 from signals.nco import Nco, Taps
 from ultratight.filters.gaussian import Filter, Gaussian, Measurement, Prediction, Update
-from ultratight.ins.error_state import Layout, ProcessNoise, transition_into
+from ultratight.ins.error_state import (
+    N_WITH_SCALE,
+    SCALE_FACTOR,
+    Layout,
+    ProcessNoise,
+    transition_into,
+)
 from ultratight.ins.imu import Increments
 from ultratight.tracking.code_model import code_rows
 from ultratight.tracking.half_bits import Bits, HalfBits
@@ -30,9 +36,8 @@ from ultratight.tracking.steering import (
 ABSURD_SPEED_MPS = 2e4
 ABSURD_DRIFT_MPS = 4e4
 """Beyond what a scenario may ask for: an estimate there has nothing to do with a receiver"""
-N_STATE = 17
-STATES = "covariance of the 17 error states after the update; the channels' phases are left out"
-UNITS = "products of m, m/s, rad, m/s2, rad/s, m, m/s"
+STATES = "covariance of the error states after the update; the channels' phases are left out"
+UNITS = "products of m, m/s, rad, m/s2, rad/s, m, m/s, 1"
 
 
 class Settings(NamedTuple):
@@ -43,6 +48,7 @@ class Settings(NamedTuple):
     fall_back: bool = True
     return_s: float = 2.0
     epoch_s: float = 0.02
+    states: int = 17
 
 
 class UltraTight:
@@ -72,10 +78,10 @@ class UltraTight:
         self.knows, self.settings, self.filter = knows, settings, filter_
         self.spacing_chips = spacing_chips
         n = self.n_channel = knows.prn.size
-        self.layout = Layout.build()
+        self.layout = self._layout()
         self.noise: ProcessNoise = knows.process_noise
         self._densities = np.array(self.noise)
-        self.cov = knows.initial_covariance()
+        self.cov = knows.initial_covariance(self.layout.n_scale)
         self.steering, self.sky = start(knows, piece_s, settings.epoch_s)
         self.u_before = self.steering.u.copy()
         self.no_phase = np.zeros(n)
@@ -97,6 +103,9 @@ class UltraTight:
         self.bits: Bits | None = None
         self.dump_chips = facts.dump_chips
         self.valid = np.ones(n, dtype=np.bool_)
+
+    def _layout(self, n_phase: int = 0) -> Layout:
+        return Layout.build(self.settings.states == N_WITH_SCALE, n_phase)
 
     def steer(self, t_end_s: float, imu: Increments) -> Nco:
         """Command one piece per increment of the epoch; each uses only earlier increments."""
@@ -171,7 +180,8 @@ class UltraTight:
         )  # fmt: skip
 
     def _feed_back(self, x: np.ndarray, phase_m: np.ndarray) -> None:
-        feed_back(self.steering.buffer, self.sky.arcs, x, phase_m, self.t_s)
+        n = self.layout.phase.start
+        feed_back(self.steering.buffer, self.sky.arcs, x[:n], phase_m, self.t_s)
 
     def _choose_model(self, u: Update, measurement: Measurement) -> None:
         """Start in D, hand over to C; on loss fall back to D for a while, if allowed."""
@@ -188,7 +198,7 @@ class UltraTight:
 
     def _hand_over(self) -> None:
         n = self.layout.n
-        self.layout = Layout.build(n_phase=self.n_channel)
+        self.layout = self._layout(self.n_channel)
         radian_m = self.wavelength_m / (2.0 * np.pi)
         cov = np.zeros((self.layout.n, self.layout.n))
         cov[:n, :n] = self.cov
@@ -205,9 +215,9 @@ class UltraTight:
 
         Without that the differential model inherits a covariance that keeps it from pulling in.
         """
-        self.layout = Layout.build()
+        self.layout = self._layout()
         n = self.layout.n
-        self.cov = self.cov[:n, :n] + self.knows.initial_covariance()
+        self.cov = self.cov[:n, :n] + self.knows.initial_covariance(self.layout.n_scale)
         self.coherent = False
         self.returns_at_s = self.t_s + self.settings.return_s
         self.filter.reset()
@@ -231,8 +241,11 @@ class UltraTight:
 
     def fields(self) -> Fields:
         """What is kept of each epoch; the channels' phases are left out of ``covariance``."""
-        n = self.n_channel
+        n, n_state = self.n_channel, self.layout.phase.start
         channel = ((n,), ("channel",))
+        scale: Fields = {
+            "accel_scale_factor": ((3,), ("axis",), "1", "estimated accelerometer scale factor"),
+        }
         return {
             "r_eb_e": ((3,), ("xyz",), "m", "estimated IMU position, ECEF"),
             "v_eb_e": ((3,), ("xyz",), "m/s", "estimated IMU velocity, ECEF"),
@@ -241,7 +254,8 @@ class UltraTight:
             "gyro_bias": ((3,), ("axis",), "rad/s", "estimated gyro bias, body axes"),
             "clock_m": ((), (), "m", "estimated receiver clock bias"),
             "clock_rate": ((), (), "m/s", "estimated receiver clock drift"),
-            "covariance": ((N_STATE, N_STATE), ("state", "state_2"), UNITS, STATES),
+            **(scale if self.layout.n_scale else {}),
+            "covariance": ((n_state, n_state), ("state", "state_2"), UNITS, STATES),
             "nis": ((), (), "1", "normalised innovation squared (NIS) of the epoch"),
             "n_measurement": ((), (), "1", "how many numbers were measured in the epoch"),
             "fading_factor": ((), (), "1", "fading factor in use, 1 for none"),
@@ -257,7 +271,7 @@ class UltraTight:
         _write(
             rows.block[k], self.steering.buffer, self.cov, self.lock.indicator,
             self.amplitudes.amplitude2, self.half_s, float(nis), float(size), float(lam),
-            float(self.coherent),
+            float(self.coherent), self.layout.n_scale,
         )  # fmt: skip
 
 
@@ -320,15 +334,16 @@ def _write(
     n_measurement: float,
     lam: float,
     coherent: float,
+    n_scale: int,
 ) -> None:
     """The fields of an epoch, in their order."""
-    at = N_NAVIGATION
+    at, n_state = N_NAVIGATION + n_scale, SCALE_FACTOR + n_scale
     for k in range(at):
         row[k] = buffer[k]
-    for i in range(N_STATE):
-        for j in range(N_STATE):
+    for i in range(n_state):
+        for j in range(n_state):
             row[at + j] = cov[i, j]
-        at += N_STATE
+        at += n_state
     row[at], row[at + 1], row[at + 2], row[at + 3] = nis, n_measurement, lam, coherent
     at += 4
     n = indicator.size
