@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Protocol
 
 from ultratight.filters.fading import AS_PRINTED, BLOCK, CLAMPED, Fading, FadingOptions
 from ultratight.filters.gaussian import (
@@ -21,7 +21,9 @@ from ultratight.filters.gaussian import (
     update,
 )
 from ultratight.filters.interval import IntervalQ, VelocityQ, intersect_boxes, intersect_printed
-from ultratight.filters.rules import get_rule
+from ultratight.filters.jump_triggered import IO, J1, JTQ
+from ultratight.filters.multiple_model import IMM3, ImmOptions
+from ultratight.filters.rules import Rule, get_rule
 
 __all__ = [
     "CATALOG",
@@ -39,6 +41,14 @@ XU = "Xu, Zeng & Huang, Geom. Inf. Sci. Wuhan Univ. 42(12), 2017"
 OURS = "regularised form of " + XU
 
 
+class Several(Protocol):
+    """Options of a filter that carries several hypotheses, or makes them when it must."""
+
+    def make(self, rule: Rule, iterations: int) -> Filter:
+        """The filter with these options."""
+        ...
+
+
 @dataclass(frozen=True)
 class Recipe:
     """A filter in words; every field is an answer to one question."""
@@ -52,6 +62,7 @@ class Recipe:
     interval_q: IntervalQ | None = None  # applied before the prediction
     velocity_q: VelocityQ | None = None  # so is this
     states: int = 17  # 20: with three accelerometer scale factors
+    several: Several | None = None  # a bank of hypotheses in place of one Gaussian
 
 
 _QKF = "quadrature filter, Gauss-Hermite in the projected space of each channel"
@@ -62,6 +73,9 @@ _20 = "with accelerometer scale factors as states"
 _VRW = "velocity random walk added at all times"
 BY_SCALE = IntervalQ(latency_s=0.0)
 BY_CLOCK = IntervalQ(g_sensitivity_ppb_per_g=1.0)
+_IMM = "Blom & Bar-Shalom, IEEE TAC 33 (1988)"
+_JTQ = "relinearised quadrature filter, opened when the measured specific force jumps"
+_SIZES = "ours; a surprise per 100 m/s2 of 2 m/s2, 1 m/s and 3 m/s of clock drift (1 sigma)"
 CATALOG: dict[str, Recipe] = {
     "kf": Recipe("extended Kalman filter", "Groves, 2nd ed., ch. 3 and 14", "linearised"),
     "qkf": Recipe(f"{_QKF}, 7 points", XU),
@@ -112,6 +126,13 @@ CATALOG: dict[str, Recipe] = {
                          velocity_q=VelocityQ(0.1)),
     "qkf-20": Recipe(f"quadrature filter {_20}", "Groves, 2nd ed., ch. 14", states=20),
     "fiqkf-r-20": Recipe(f"fiqkf-r {_20}", OURS, fading=BLOCK, states=20),
+    "imm2": Recipe("two quadrature filters, without and with velocity noise, mixed", _IMM,
+                   several=ImmOptions()),
+    "imm3": Recipe("three of them", _IMM, several=IMM3),
+    "jtq": Recipe(f"{_JTQ}, four hypotheses", _SIZES, "gh3", 4, several=JTQ),
+    "j1": Recipe(f"{_JTQ}, one hypothesis with everything opened", _SIZES, "gh3", 4, several=J1),
+    "io": Recipe("relinearised quadrature filter, reopened by a score test alone", _SIZES, "gh3",
+                 4, several=IO),
 }  # fmt: skip
 """Name -> recipe"""
 
@@ -159,7 +180,10 @@ def make_filter(name: str, **changes: Any) -> Filter:
     if name not in CATALOG:
         raise ValueError(f"filter: {name!r}, expected one of {', '.join(CATALOG)}")
     try:
-        return RecipeFilter(replace(CATALOG[name], **changes))
+        recipe = replace(CATALOG[name], **changes)
     except TypeError as error:
         fields = ", ".join(Recipe.__dataclass_fields__)
         raise ValueError(f"filter {name!r}: {error}; expected fields {fields}") from None
+    if recipe.several is not None:
+        return recipe.several.make(get_rule(recipe.rule), recipe.iterations)
+    return RecipeFilter(recipe)

@@ -48,6 +48,8 @@ class Measurement(NamedTuple):
     h_jacobian: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
     """y (nb, d) -> predicted measurement (nb, k) and dh/dy (nb, k, d)"""
     channel: np.ndarray  # (nb,) int64: index of each block on the channel axis
+    span: np.ndarray | None = None
+    """(nb, 2 or more) middle [receiver time, s] and half length [s] of what was integrated"""
 
 
 class Update:

@@ -92,7 +92,7 @@ class VelocityQ:
         """The prediction with Q widened."""
         q = np.array(prediction.q)
         per_half = 0.5 * prediction.T * self.density**2
-        _add_velocity_noise(prediction.phi, prediction.layout.v.start, per_half, q)
+        add_white_noise(prediction.phi, prediction.layout.v.start, per_half, q)
         return prediction._replace(q=q)
 
 
@@ -100,10 +100,10 @@ class VelocityQ:
 
 
 @kernel
-def _add_velocity_noise(phi: np.ndarray, v: int, per_half: float, q: np.ndarray) -> None:
-    """q (n, n) += per_half (Phi E Phi' + E), E the identity on rows v..v+2."""
+def add_white_noise(phi: np.ndarray, first: int, per_half: float, q: np.ndarray) -> None:
+    """q (n, n) += per_half (Phi E Phi' + E), E the identity on rows first..first+2."""
     n = q.shape[0]
-    for k in range(v, v + 3):
+    for k in range(first, first + 3):
         for i in range(n):
             if phi[i, k] != 0.0:
                 for j in range(n):

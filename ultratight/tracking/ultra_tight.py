@@ -136,6 +136,7 @@ class UltraTight:
             self._give_up("the filter's estimate is not finite")
             return
         self.update, self.cov = u, cov
+        self.events += [(self.t_s, -1, *note) for note in getattr(self.filter, "notes", ())]
         self._feed_back(mean, mean[self.layout.phase] if self.coherent else self.no_phase)
         if self._is_absurd():
             self._give_up("estimated velocity or clock drift beyond any receiver's")
@@ -162,7 +163,7 @@ class UltraTight:
             bits, self.steering, self.t_s, layout.n, layout.phase.start, self.codes,
             k.channels.pilot, self.spacing_chips, self.noise.clock_sf, self.amplitudes,
             k.data_bits, k.first_bit,
-        )  # fmt: skip
+        )._replace(span=bits.span)  # fmt: skip
 
     def _prediction(self) -> Prediction:
         s, n, T = self.steering, self.layout.n, self.settings.epoch_s
