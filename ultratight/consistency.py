@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from signals.constants import CA_CHIP_RATE_HZ
 from ultratight import config
+from ultratight.filters import own
 
 if TYPE_CHECKING:
     from ultratight.scenario import Scenario
@@ -214,10 +215,17 @@ def _unknown_names(s: Scenario) -> Found:
         "clock.model": s.clock.model,
         "receiver.process_noise.clock_model": s.receiver.process_noise.clock_model,
     }
-    return [
+    found: Found = []
+    if own.is_own(s.receiver.filter):
+        del given["receiver.filter"]
+        try:
+            own.split(s.receiver.filter)
+        except ValueError as error:
+            found = [(("receiver.filter",), f"receiver.filter: {error}")]
+    return found + [
         ((key,), f'{key}: "{given[key]}" given, expected one of {", ".join(table)}')
         for key, table in names().items()
-        if given[key] is not None and given[key] not in table
+        if given.get(key) is not None and given[key] not in table
     ]
 
 

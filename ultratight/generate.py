@@ -27,6 +27,7 @@ from signals.constants import CA_CHIP_RATE_HZ, GPS_L1_HZ
 from signals.propagation import SignalState
 from signals.sample_formats import FileFormat, file_format
 from signals.sigmf_files import Description, paths, write_description
+from ultratight import named_files
 from ultratight.config import InvalidInput
 from ultratight.if_parts import Kept, Parts, Places, read_journal
 from ultratight.if_source import blocks, if_source
@@ -175,7 +176,7 @@ def plan(
 def _made(world: FileWorld, form: FileFormat, rms: float | None) -> dict[str, Any]:
     """`Plan.made`: not the duration, as a longer file begins with the bits of a shorter one."""
     s = world.scenario
-    tree = s.to_dict() | {key: f"sha256:{sha}" for key, sha in s.files_sha256().items()}
+    tree = named_files.by_content(s.to_dict())
     # a last segment that reaches the end of the run holds beyond it
     duration_s, *_ = (tree.pop(key, None) for key in ("duration_s", "name", "title", "why"))
     lasts = bool(s.profile) and s.profile[-1].t1_s >= duration_s - 1e-9

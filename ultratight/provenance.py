@@ -19,6 +19,7 @@ _FILES = {
     "constellation": "navigation_sha256",
     "trajectory": "trajectory_sha256",
     "galileo_codes": "galileo_codes_sha256",
+    "receiver.filter": "filter_sha256",
 }
 
 

@@ -15,7 +15,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationError, ValidationInfo, model_validator
 
-from ultratight import config, consistency
+from ultratight import config, consistency, named_files
 from ultratight.config import InvalidInput, Unsupported
 from ultratight.consistency import SPEED_LIMIT_MPS, Label
 from ultratight.tables import Atmosphere, Channel, Dbhz, Imu, NotNegative, Positive, Table
@@ -36,8 +36,6 @@ TurnRate = Annotated[float, Field(ge=-360.0, le=360.0)]
 
 PRESETS = ("jump-1", "jump-2", "jump-3", "jump-4", "uniform", "accelerated", "static")
 """Scenarios that ship, as ``ultratight/presets/NAME.toml``"""
-CONSTELLATIONS = ("embedded", "nominal-24", "galileo-24")
-"""Skies that need no file"""
 _KEYS_ONLY = "keys only"
 """Validation context: leave out the rules between keys"""
 
@@ -131,7 +129,7 @@ class Receiver(Table):
     closure: Literal["ultra-tight", "scalar", "scalar-ins"] = "ultra-tight"
     """Who closes the loop: the filter, channel loops, or channel loops with INS aiding"""
     filter: str = "fiqkf-r"
-    """Ultra-tight only; see `ultratight filters`"""
+    """Ultra-tight only; see `ultratight filters`, or your own: FILE.py:NAME, package.module:NAME"""
     states: Literal[17, 20] | None = None
     """20: three accelerometer scale factors more; by default what the filter's row says"""
     measurement: Literal["coherent", "differential"] = "coherent"
@@ -246,18 +244,13 @@ class Scenario(Table):
 
         Files that it names enter by their content, wherever they are; OSError if one is gone.
         """
-        tree = self.to_dict()
-        for key, sha in self.files_sha256().items():
-            tree[key] = f"sha256:{sha}"
+        tree = named_files.by_content(self.to_dict())
         text = json.dumps(tree, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()
 
     def files_sha256(self) -> dict[str, str]:
         """SHA-256 of each file that the scenario names, by its key."""
-        return {
-            key: hashlib.sha256(Path(name).read_bytes()).hexdigest()
-            for key, name in _files(self.to_dict()).items()
-        }
+        return named_files.sha256(self.to_dict())
 
     def replace(self, changes: Mapping[str, Any] | Iterable[str]) -> Scenario:
         """A validated copy with dotted changes: {"imu.lag_s": 0.01} or ["imu.lag_s=0.01"]."""
@@ -322,29 +315,10 @@ def load(name_or_path: str | Path, overrides: Mapping[str, Any] | Iterable[str] 
     )
     source = "" if str(name_or_path) in PRESETS else str(name_or_path)
     scenario = Scenario.from_dict(tree, source)
-    expected = {
-        "constellation": '"embedded", "nominal-24", "galileo-24" or a RINEX navigation file',
-        "galileo_codes": "a file of the E1 memory codes (CSV)",
-        "trajectory": "a trajectory file (CSV)",
-    }
-    lines = [
-        f'{key}: "{path}" given, expected {expected[key]} (there is no such file)'
-        for key, path in _files(scenario.to_dict()).items()
-        if not Path(path).is_file()
-    ]
+    lines = named_files.problems(scenario.to_dict())
     if lines:
         raise InvalidInput(lines)
     return scenario
-
-
-def _files(tree: Mapping[str, Any]) -> dict[str, str]:
-    """What the keys that name files hold, where they do."""
-    named = {key: tree.get(key) for key in ("constellation", "trajectory", "galileo_codes")}
-    return {
-        key: name
-        for key, name in named.items()
-        if isinstance(name, str) and name and name not in CONSTELLATIONS
-    }
 
 
 def _changed(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
@@ -359,4 +333,4 @@ def _changed(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, A
 
 
 def _relative_to(folder: Path, tree: dict[str, Any]) -> dict[str, Any]:
-    return tree | {key: str(folder / name) for key, name in _files(tree).items()}
+    return named_files.moved(tree, lambda name: str(folder / name))

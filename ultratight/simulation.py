@@ -10,7 +10,7 @@ import numpy as np
 
 from signals.nco import Correlator, Nco, Taps
 from ultratight import metrics
-from ultratight.filters.catalog import CATALOG, make_filter
+from ultratight.filters.catalog import make_filter
 from ultratight.filters.gaussian import Filter
 from ultratight.history import History, truth_variables
 from ultratight.ins.imu import Increments
@@ -159,10 +159,10 @@ def new_closure(scenario: Scenario, knows: Knows, filter: Filter | None = None) 
     spacing, piece_s = scenario.correlator.spacing_chips, 1.0 / scenario.imu.rate_hz
     if r.closure == "ultra-tight":
         if filter is None:
-            if r.filter not in CATALOG:
-                known = ", ".join(CATALOG)
-                raise InvalidInput(f"receiver.filter: {r.filter!r} given, expected one of {known}")
-            filter = make_filter(r.filter)
+            try:
+                filter = make_filter(r.filter)
+            except ValueError as error:
+                raise InvalidInput(f"receiver.filter: {error}") from error
         settings = Settings(
             measurement=r.measurement,
             hand_over_s=r.hand_over_s,

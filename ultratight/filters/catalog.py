@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
+from ultratight.filters import own
 from ultratight.filters.fading import AS_PRINTED, BLOCK, CLAMPED, Fading, FadingOptions
 from ultratight.filters.gaussian import (
     Filter,
@@ -175,10 +176,14 @@ class RecipeFilter:
 def make_filter(name: str, **changes: Any) -> Filter:
     """The filter of that name, one per run; ``changes`` replace fields of its `Recipe`.
 
+    A name with a colon is a user's own filter, see `own`.
+
     >>> make_filter("qkf-intq", iterations=3, interval_q=IntervalQ(scale_factor=5e-3))
     """
+    if own.is_own(name) and not changes:
+        return own.make(name)
     if name not in CATALOG:
-        raise ValueError(f"filter: {name!r}, expected one of {', '.join(CATALOG)}")
+        raise ValueError(f'"{name}" given, expected one of {", ".join(CATALOG)}')
     try:
         recipe = replace(CATALOG[name], **changes)
     except TypeError as error:
