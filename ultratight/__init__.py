@@ -18,12 +18,23 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from ultratight.monte_carlo import sweep
     from ultratight.results import Run, Variable
     from ultratight.results import load as load_run
     from ultratight.scenario import PRESETS, InvalidInput, Scenario, load
     from ultratight.simulation import run
 
-__all__ = ["PRESETS", "InvalidInput", "Run", "Scenario", "Variable", "load", "load_run", "run"]
+__all__ = [
+    "PRESETS",
+    "InvalidInput",
+    "Run",
+    "Scenario",
+    "Variable",
+    "load",
+    "load_run",
+    "run",
+    "sweep",
+]
 
 _HOMES = {
     "PRESETS": ("scenario", "PRESETS"),
@@ -34,6 +45,7 @@ _HOMES = {
     "load": ("scenario", "load"),
     "load_run": ("results", "load"),
     "run": ("simulation", "run"),
+    "sweep": ("monte_carlo", "sweep"),
 }
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ultratight import if_commands
+from ultratight import if_commands, sweep_commands
 from ultratight.options import (
     Closure,
     Correlator,
@@ -192,6 +192,7 @@ def _version(wanted: bool) -> None:
 
 app.command()(if_commands.generate)
 app.command()(if_commands.info)
+app.command()(sweep_commands.sweep)
 
 
 @app.callback()

@@ -211,6 +211,11 @@ class Key(NamedTuple):
     meaning: str
 
 
+def unit(name: str) -> str:
+    """The unit that a key's ending says; empty where there is none."""
+    return next((u for ending, u in _UNITS.items() if name.endswith(ending)), "")
+
+
 def keys(model: type[BaseModel], prefix: str = "") -> Iterator[Key]:
     """Every key of a model and of its tables, in the order of their definition."""
     for name, field in model.model_fields.items():
@@ -221,12 +226,11 @@ def keys(model: type[BaseModel], prefix: str = "") -> Iterator[Key]:
             yield Key(prefix + name, "", "table", "", meaning)
             yield from keys(inner[0], f"{prefix}{name}.")
             continue
-        unit = next((u for ending, u in _UNITS.items() if name.endswith(ending)), "")
         default = "required" if field.is_required() else show(field.default)
         if field.default is None:
             default = "left out"
         expected = _expected(field.annotation, field.metadata)
-        yield Key(prefix + name, unit, expected, default, meaning)
+        yield Key(prefix + name, unit(name), expected, default, meaning)
 
 
 def _expected(annotation: Any, metadata: Sequence[Any] = ()) -> str:

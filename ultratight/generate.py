@@ -36,6 +36,7 @@ from ultratight.if_world import WINDOW_S, FileWorld
 from ultratight.ins.earth import geodetic_from_ecef
 from ultratight.provenance import provenance, sources_sha256
 from ultratight.results import check_writable
+from ultratight.resume import flat
 from ultratight.scenario import PRESETS, Scenario, load
 from ultratight.world import NODE_S, World
 
@@ -185,7 +186,7 @@ def _made(world: FileWorld, form: FileFormat, rms: float | None) -> dict[str, An
         "seed": world.seed,
         "format": form.name,
         "rms": rms,
-        **_flat(tree),
+        **flat(tree),
         "profile_lasts": lasts,
         "prns": world.prn.tolist(),
         "cpu_path": where["cpu_path"],
@@ -193,14 +194,6 @@ def _made(world: FileWorld, form: FileFormat, rms: float | None) -> dict[str, An
         **where["versions"],
         "sources_sha256": sources_sha256(),
     }
-
-
-def _flat(tree: dict[str, Any], above: str = "") -> dict[str, Any]:
-    """Keys with dots, so that what differs can be named."""
-    flat: dict[str, Any] = {}
-    for key, value in tree.items():
-        flat |= _flat(value, f"{above}{key}.") if isinstance(value, dict) else {above + key: value}
-    return flat
 
 
 def generate(p: Plan, progress: Callable[[float], None] | None = None) -> dict[str, Any]:

@@ -11,7 +11,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import suppress
@@ -22,6 +21,7 @@ import numpy as np
 
 from signals.sample_formats import VALUES_PER_BYTE, FileFormat, encode
 from ultratight.config import InvalidInput
+from ultratight.resume import differences, lock
 
 MARK = "ultratight-if-journal-1"
 KEEP_EVERY_S = 1.0
@@ -74,14 +74,8 @@ def read_journal(places: Places, made: dict[str, Any]) -> Kept:
     if journal.get("mark") != MARK:
         raise InvalidInput(f"{places.journal}: not a journal ({MARK}); {_ANEW}")
     then, part = journal["made"], places.samples.with_name(journal["part"])
-    differ = [
-        f"{key} is {_short(then.get(key))} there, {_short(made.get(key))} here"
-        for key in {**made, **then}
-        if then.get(key) != made.get(key)
-    ]
-    if differ:
-        more = f" and {len(differ) - 3} more" if len(differ) > 3 else ""
-        raise InvalidInput(f"{part}: of another file ({'; '.join(differ[:3])}{more}); {_ANEW}")
+    if differ := differences(then, made):
+        raise InvalidInput(f"{part}: of another file ({differ}); {_ANEW}")
     seconds, n_samples, rest, samples, rows = (journal["kept"][key] for key in Kept._fields)
     return Kept(seconds, n_samples, tuple(rest), (samples[0], samples[1]), (rows[0], rows[1]))
 
@@ -95,11 +89,6 @@ def _journal(path: Path) -> dict[str, Any] | None:
     except ValueError:
         return {}
     return read if isinstance(read, dict) else {}
-
-
-def _short(value: Any) -> str:
-    text = json.dumps(value)
-    return text if len(text) <= 40 else f"{text[:37]}..."
 
 
 class Parts:
@@ -235,16 +224,7 @@ class _Growing:
         self._file = path.open("a+b", buffering=0)
 
     def lock(self) -> None:
-        """Two processes must not write one file; without locks (Windows) nobody is kept off."""
-        if sys.platform != "win32":
-            import fcntl
-
-            try:
-                fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                raise OSError(f"{self._path}: another process is writing it") from None
-            except OSError:
-                pass  # a file system without locks
+        lock(self._file, self._path)
 
     def go_on_after(self, n_bytes: int, sha512: str) -> None:
         """Cut off what lies beyond; refuse what is not what was written."""

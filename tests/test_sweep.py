@@ -1,0 +1,67 @@
+"""Sweeps: same bits however they are flown, whatever else is asked for."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import ultratight
+from ultratight.monte_carlo import plan
+
+SHORT = {"duration_s": 1.0, "prns": [2, 6, 17, 28], "jump_window_s": [0.2, 0.5]}
+OVER = {"receiver.filter": ["kf", "fiqkf-r"], "cause": {"off": {}, "lag": {"imu.lag_s": 0.01}}}
+
+
+def short(**changes: object) -> ultratight.Scenario:
+    return ultratight.load("uniform", SHORT | changes)
+
+
+def test_a_sweep_is_what_single_runs_are() -> None:
+    """Every cell against `ultratight.run` with the seed that the documentation promises."""
+    data = ultratight.sweep(short(), OVER, runs=2, seed=5, jobs=1)
+    assert data.velocity_rms_mps.dims == ("filter", "cause", "run", "window")
+    for name in ("kf", "fiqkf-r"):
+        for cause, changes in OVER["cause"].items():
+            for r in range(2):
+                alone = ultratight.run(
+                    short().replace({"receiver.filter": name, **changes}), seed=5 + r
+                )
+                at = data.sel(filter=name, cause=cause, run=r)
+                assert at.seed == 5 + r
+                for window in ("jump", "end"):
+                    assert (
+                        at.velocity_rms_mps.sel(window=window)
+                        == alone.summary["velocity_rms_mps"][window]
+                    )
+                assert at.converged == alone.summary["converged"]
+
+
+def test_run_r_depends_on_nothing_else() -> None:
+    full = ultratight.sweep(short(), OVER, runs=3, seed=5, jobs=1)
+    part = ultratight.sweep(short(), {"receiver.filter": ["fiqkf-r"]}, runs=2, seed=6, jobs=1)
+    both = full.estimate_sha256.sel(filter="fiqkf-r", cause="off").values[1:]
+    assert part.estimate_sha256.values[0].tolist() == both.tolist()
+    assert len(np.unique(full.estimate_sha256)) == full.estimate_sha256.size
+
+
+@pytest.mark.parametrize(
+    ("over", "words"),
+    [
+        ({"receiver.filtr": ["kf"]}, "receiver.filtr: unknown key, did you mean filter"),
+        ({"imu.lag_s": [-1.0]}, "imu.lag_s: -1.0 given, expected 0 or more"),
+        ({"imu.lag_s": []}, "over imu.lag_s: nothing given"),
+        ({"imu.lag_s": 0.1}, "over imu.lag_s: 0.1 given, expected a list"),
+        ({"receiver.filter": "kf"}, 'over receiver.filter: "kf" given, expected a list'),
+        ({"imu.lag_s": [0.1, 0.1]}, "over imu.lag_s: 0.1 given twice"),
+        ({"prns": [[2, 6, 17]]}, "prns: leaves 3 of"),
+        ({"imu.lag_s": [0.0], "x": {"a": {"imu.lag_s": 1.0}}}, "over imu.lag_s: set by two axes"),
+        (
+            {"cn0_dbhz": list(range(20, 60)), "imu.lag_s": [k / 100 for k in range(26)]},
+            "1040 cells",
+        ),
+    ],
+)
+def test_bad_axes_are_refused_before_work(over: dict, words: str) -> None:
+    with pytest.raises(ultratight.InvalidInput) as refused:
+        plan(short(), over)
+    assert words in str(refused.value)
