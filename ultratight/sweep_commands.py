@@ -53,7 +53,9 @@ def sweep(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Fly every combination of values, each with N seeds, on all cores or a Dask cluster.
+    """Fly every combination of values, each with N seeds.
+
+    On all cores, or a Dask cluster.
 
     Run r has the seed S + r in every cell. Finished runs are kept in DIR at once: the same command
     goes on with what was cut short, and with a larger --runs it adds runs.
