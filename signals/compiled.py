@@ -5,6 +5,17 @@ from another module.  The cache folder of a module's kernels is therefore keyed 
 source and of *all* sources that it imports, directly or not, from its own package and from
 `signals`: edited code never meets an old binary, and an edit elsewhere compiles nothing anew.
 Where `signals.cpu` is among them, so is the path in force: paths never mix.
+
+A kernel gives the same bits whether it was compiled in this process or loaded, whatever else the
+process ran before.  numba's ``njit`` does not promise that, for two reasons:
+
+* numba links a copy of each called kernel into its caller and optimises it again there, as a weak
+  symbol.  The first copy that a process loads serves all callers: in a compiling process the
+  called kernel's own, in one that loads the caller from the cache the caller's.  Where sums may be
+  reordered (`FAST_SUM`) the copies differ in the last bit.  Here the copies are private, so that
+  each kernel runs its own (`_ClosedLibrary`).
+* Options that a kernel leaves open are taken from whichever caller happens to compile it first, and
+  go into the cache with it.  Here none is left open (`_OPTIONS`).
 """
 
 from __future__ import annotations
@@ -23,6 +34,11 @@ from pathlib import Path
 from typing import Any
 
 import numba
+from llvmlite.binding import Linkage
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import CompilerBase, DefaultPassBuilder
+from numba.core.compiler_machinery import FunctionPass, PassManager, register_pass
+from numba.core.typed_passes import NopythonTypeInference
 
 KEEP_S = 30 * 86_400
 """Age at which the cache of other sources goes"""
@@ -34,6 +50,11 @@ _NAME = re.compile(r"[A-Za-z_]\w*")
 
 FAST_SUM = {"reassoc", "contract", "arcp", "nsz"}
 """The only fast-math flags in use: sums may be reordered; NaN and inf keep their meaning."""
+
+_OPTIONS: dict[str, Any] = {
+    "nogil": True, "error_model": "numpy", "fastmath": False, "forceinline": False, "_nrt": True
+}  # fmt: skip
+"""Of each kernel that does not say otherwise: all that numba would inherit from a caller"""
 
 
 def cache_root() -> Path:
@@ -125,6 +146,41 @@ def _prune(root: Path) -> None:
             shutil.rmtree(other, ignore_errors=True)
 
 
+class _ClosedLibrary(JITCodeLibrary):
+    """Machine code of one kernel, which runs its own copies of the kernels that it calls."""
+
+    def _optimize_final_module(self) -> None:
+        super()._optimize_final_module()
+        for function in self._final_module.functions:
+            if function.linkage == Linkage.linkonce_odr and not function.is_declaration:
+                function.linkage = Linkage.private
+
+
+@register_pass(mutates_CFG=False, analysis_only=False)
+class _Close(FunctionPass):
+    """Give the kernel its library; numba's lowering makes one only where there is none."""
+
+    _name = "close_library"
+
+    def __init__(self) -> None:
+        super().__init__()
+
+    def run_pass(self, state: Any) -> bool:
+        state.library = _ClosedLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
+        state.library.enable_object_caching()
+        return False
+
+
+class _Compiler(CompilerBase):
+    """numba's compiler with closed libraries."""
+
+    def define_pipelines(self) -> list[PassManager]:
+        passes = DefaultPassBuilder.define_nopython_pipeline(self.state)
+        passes.add_pass_after(_Close, NopythonTypeInference)
+        passes.finalize()
+        return [passes]
+
+
 def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     """``numba.njit`` with the keyed disk cache; used as ``@kernel`` or ``@kernel(fastmath=...)``.
 
@@ -134,7 +190,7 @@ def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     if function is None:
         return lambda f: kernel(f, **options)
     folder = _cache_dir(function.__module__)
-    options = {"cache": folder is not None, "nogil": True, "error_model": "numpy"} | options
+    options = _OPTIONS | {"cache": folder is not None, "pipeline_class": _Compiler} | options
     # numba reads its global setting when a function is decorated: set it for that moment only, so
     # that a user's own kernels keep their own cache.
     before = numba.config.CACHE_DIR

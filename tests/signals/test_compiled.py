@@ -1,4 +1,5 @@
-"""The kernel cache: an edit must reach every kernel that could have compiled it in, no other."""
+"""Compiled kernels: an edit must reach every kernel that could have compiled it in, no other; the
+same bits from a kernel that was compiled just now and from one that was loaded."""
 
 from __future__ import annotations
 
@@ -31,6 +32,50 @@ SCRIPT = (
 )
 
 
+SUMS = """
+import numpy as np
+from signals.compiled import FAST_SUM, borrowing
+
+
+@borrowing
+def total(x):
+    s = 0.0
+    for i in range(x.size):
+        s += x[i]
+    return s
+
+
+@borrowing(fastmath=FAST_SUM)
+def loose(x):
+    return total(x)
+
+
+@borrowing(fastmath=FAST_SUM)
+def deflate(W, P):
+    k, n = W.shape
+    q = 0
+    while q + 3 <= k:
+        for a in range(n):
+            g0, g1, g2 = W[q, a], W[q + 1, a], W[q + 2, a]
+            for c in range(n):
+                P[a, c] -= g0 * W[q, c] + g1 * W[q + 1, c] + g2 * W[q + 2, c]
+        q += 3
+    while q < k:
+        for a in range(n):
+            g = W[q, a]
+            for c in range(n):
+                P[a, c] -= g * W[q, c]
+        q += 1
+
+
+@borrowing(fastmath=FAST_SUM)
+def twice(W, P):
+    for b in range(2):
+        deflate(W[3 * b : 3 * b + 3], P)
+"""
+"""A sum in order that a kernel with reordered sums calls; `conditioning._deflate` in a loop"""
+
+
 @pytest.fixture
 def tree(tmp_path: Path) -> Path:
     for name, text in TREE.items():
@@ -40,14 +85,19 @@ def tree(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def twice(tree: Path, **environment: str) -> tuple[float, int, int]:
-    """Result of the kernel in a fresh process, hits and misses of its cache."""
+def process(tree: Path, script: str) -> list[str]:
+    """Words that a script prints in a process of its own; the cache lies in the tree."""
     env = os.environ | {"PYTHONPATH": os.pathsep.join([str(tree), str(ROOT)])}
-    env |= {"ULTRATIGHT_CACHE_DIR": str(tree / "cache")} | environment
+    env |= {"ULTRATIGHT_CACHE_DIR": str(tree / "cache")}
     done = subprocess.run(
-        [sys.executable, "-c", SCRIPT], env=env, capture_output=True, text=True, check=True
+        [sys.executable, "-c", script], env=env, capture_output=True, text=True, check=True
     )
-    value, hits, misses = done.stdout.split()
+    return done.stdout.split()
+
+
+def twice(tree: Path) -> tuple[float, int, int]:
+    """Result of the kernel in a fresh process, hits and misses of its cache."""
+    value, hits, misses = process(tree, SCRIPT)
     return float(value), int(hits), int(misses)
 
 
@@ -78,3 +128,33 @@ def test_a_cache_folder_that_cannot_be_written_to_is_done_without(tree: Path) ->
     shutil.rmtree(tree / "cache", ignore_errors=True)
     (tree / "cache").write_text("a file where the folder should be")
     assert twice(tree)[0] == 3.0
+
+
+def test_compiled_now_or_loaded_alone_or_after_what_it_calls_a_kernel_gives_the_same_bits(
+    tree: Path,
+) -> None:
+    (tree / "foreign/sums.py").write_text(SUMS)
+    n = 17
+    prepare = (
+        "import numpy as np; from foreign.sums import deflate, twice\n"
+        f"W = np.random.default_rng(1).standard_normal((6, {n})); P = W[0] + W.T[:, :1]\n"
+    )
+    called = "twice(W, P); print(P.tobytes().hex())"
+    compiled, loaded = process(tree, prepare + called), process(tree, prepare + called)
+    after = process(tree, f"{prepare}deflate(W[:3], P.copy())\n{called}")
+    assert len(compiled[0]) == 16 * n * n
+    assert compiled == loaded == after
+
+
+def test_a_kernel_does_not_take_the_options_of_the_caller_that_compiles_it(tree: Path) -> None:
+    """The sum in the order that the kernel states, as Python adds it; reordered it is near 62."""
+    (tree / "foreign/sums.py").write_text(SUMS)
+    x = [1e16, *[1.0] * 62, -1e16]
+    in_order = 0.0
+    for value in x:
+        in_order += value
+    script = (
+        "import numpy as np; from foreign.sums import loose, total\n"
+        f"x = np.array({x}); loose(x); print(total(x))"
+    )
+    assert float(process(tree, script)[0]) == in_order

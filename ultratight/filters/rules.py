@@ -123,7 +123,7 @@ def get_rule(name: str) -> Rule:
 # ---------------------------------------------------------------------------------- kernels
 
 
-@borrowing
+@borrowing(fastmath=FAST_SUM)
 def psd_cholesky(S: np.ndarray, L: np.ndarray) -> None:
     """Lower L (n, n) with L L' = S for positive semidefinite S: columns without variance are 0.
 
@@ -152,7 +152,7 @@ def psd_cholesky(S: np.ndarray, L: np.ndarray) -> None:
             L[i, j] = s / root
 
 
-@borrowing
+@borrowing(fastmath=FAST_SUM)
 def solve_slope(L: np.ndarray, G: np.ndarray) -> None:
     """Overwrite G (k, d) by G L^-1; no slope along directions without variance."""
     d = L.shape[0]
