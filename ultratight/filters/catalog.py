@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 from ultratight.filters import own
+from ultratight.filters.adaptive import NoiseMemory, SageHusa
 from ultratight.filters.fading import AS_PRINTED, BLOCK, CLAMPED, Fading, FadingOptions
 from ultratight.filters.gaussian import (
     Filter,
@@ -62,6 +63,7 @@ class Recipe:
     intersect: Callable[[Gaussian, Update], Update] | None = None  # applied to the update
     interval_q: IntervalQ | None = None  # applied before the prediction
     velocity_q: VelocityQ | None = None  # so is this
+    noise: SageHusa | None = None  # R and Q estimated from the innovations
     states: int = 17  # 20: with three accelerometer scale factors
     several: Several | None = None  # a bank of hypotheses in place of one Gaussian
 
@@ -74,6 +76,8 @@ _20 = "with accelerometer scale factors as states"
 _VRW = "velocity random walk added at all times"
 BY_SCALE = IntervalQ(latency_s=0.0)
 BY_CLOCK = IntervalQ(g_sensitivity_ppb_per_g=1.0)
+_EKF = "extended Kalman filter"
+WEI = "Wei, Qin, Zhang & Zhang, J. Chinese Inertial Technology 20(6), 2012"
 _IMM = "Blom & Bar-Shalom, IEEE TAC 33 (1988)"
 _JTQ = "relinearised quadrature filter, opened when the measured specific force jumps"
 _SIZES = "ours; a surprise per 100 m/s2 of 2 m/s2, 1 m/s and 3 m/s of clock drift (1 sigma)"
@@ -132,6 +136,17 @@ CATALOG: dict[str, Recipe] = {
     "imm3": Recipe("three of them", _IMM, several=IMM3),
     "jtq": Recipe(f"{_JTQ}, four hypotheses", _SIZES, "gh3", 4, several=JTQ),
     "j1": Recipe(f"{_JTQ}, one hypothesis with everything opened", _SIZES, "gh3", 4, several=J1),
+    "kf-sage-husa": Recipe(f"{_EKF} of estimated R and Q", WEI, "linearised", noise=SageHusa()),
+    "kf-sage-husa-1": Recipe(
+        f"{_EKF} of estimated R and Q, with the terms that (28) adds; zero with the gain of R^_k",
+        WEI, "linearised", noise=SageHusa(complete=True),
+    ),
+    "kf-sage-husa-2": Recipe(
+        f"{_EKF} of R and Q blended with the first ones, (29)", WEI, "linearised",
+        noise=SageHusa(a=(0.1, 0.4), complete=True),
+    ),
+    "kf-sage-husa-r": Recipe(f"{_EKF} of estimated R", WEI, "linearised", noise=SageHusa(Q=False)),
+    "kf-sage-husa-q": Recipe(f"{_EKF} of estimated Q", WEI, "linearised", noise=SageHusa(R=False)),
     "io": Recipe("relinearised quadrature filter, reopened by a score test alone", _SIZES, "gh3",
                  4, several=IO),
 }  # fmt: skip
@@ -139,12 +154,13 @@ CATALOG: dict[str, Recipe] = {
 
 
 class RecipeFilter:
-    """A recipe at work; its only memory is the fading factor's."""
+    """A recipe at work; its only memory is the fading factor's, or the estimates of the noises."""
 
     def __init__(self, recipe: Recipe) -> None:
         self.recipe = recipe
         self.rule = get_rule(recipe.rule)
         self.fading = None if recipe.fading is None else Fading(recipe.fading)
+        self.noise = None if recipe.noise is None else NoiseMemory(recipe.noise)
 
     @property
     def states(self) -> int:
@@ -155,6 +171,8 @@ class RecipeFilter:
         """Forget the innovations seen."""
         if self.fading is not None:
             self.fading.reset()
+        if self.noise is not None:
+            self.noise.reset()
 
     def step(self, state: Gaussian, prediction: Prediction, measurement: Measurement) -> Update:
         """Widen, predict, update (twice where P is inflated), intersect."""
@@ -163,6 +181,8 @@ class RecipeFilter:
             state, prediction = recipe.interval_q.apply(state, prediction)
         if recipe.velocity_q is not None:
             prediction = recipe.velocity_q.apply(prediction)
+        if self.noise is not None:
+            return self.noise.step(state, prediction, measurement, self.rule, recipe.iterations)
         if self.fading is not None:
             prior, result = self.fading.step(
                 state, prediction, measurement, self.rule, recipe.iterations
