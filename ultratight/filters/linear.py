@@ -296,8 +296,7 @@ def _is_semidefinite(P: np.ndarray) -> bool:
 
 @borrowing
 def _is_finite(x: np.ndarray, P: np.ndarray, Q: np.ndarray) -> bool:
-    """np.isfinite is s - s: of a sum, under the caller's FAST_SUM, that may be folded to zero."""
-    finite = True
+    total = 0.0  # of magnitudes: none that is NaN or infinite can be cancelled by another
     for i in range(x.size):
-        finite &= abs(x[i] + P[i, i] + Q[i, i]) < np.inf
-    return finite
+        total += abs(x[i]) + abs(P[i, i]) + abs(Q[i, i])
+    return bool(np.isfinite(total))
