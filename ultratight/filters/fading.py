@@ -30,8 +30,9 @@ from typing import Any
 import numpy as np
 
 from signals.compiled import FAST_SUM, borrowing, kernel
-from ultratight.filters.conditioning import quadratic_form
+from signals.eight import padded
 from ultratight.filters.gaussian import Gaussian, Measurement, Prediction, Update, predict, update
+from ultratight.filters.padded_rows import dot, rows_times, widen
 from ultratight.filters.rules import Rule
 
 OBSERVED = ("r", "v", "cb", "cd", "phase")
@@ -182,18 +183,25 @@ def _remember(
     A pair with a row never seen starts at nu nu' in place of the recursion.
     """
     m = rows.size
+    keep, share = rho / (1.0 + rho), 1.0 / (1.0 + rho)
+    usual = m == seen.size
     for a in range(m):
-        i = rows[a]
-        for b in range(a + 1):
-            j = rows[b]
+        usual = usual and rows[a] == a and seen[a]
+    for a in range(m):
+        for b in range(m):
             fresh = nu[a] * nu[b]
-            if seen[i] and seen[j]:
-                fresh = (rho * V0[i, j] + fresh) / (1.0 + rho)
-            V[a, b] = fresh
-            V[b, a] = fresh
+            if usual:
+                V[a, b] = keep * V0[a, b] + share * fresh
+            elif seen[rows[a]] and seen[rows[b]]:
+                V[a, b] = keep * V0[rows[a], rows[b]] + share * fresh
+            else:
+                V[a, b] = fresh
     for a in range(m):  # a channel present twice in an epoch leaves its later block
         for b in range(m):
-            V0[rows[a], rows[b]] = V[a, b]
+            if usual:
+                V0[a, b] = V[a, b]
+            else:
+                V0[rows[a], rows[b]] = V[a, b]
     for a in range(m):
         seen[rows[a]] = True
 
@@ -215,17 +223,18 @@ def _watch(
     sigmas: float,
 ) -> bool:
     """Remember nu, fill V (m, m) with what is remembered of its rows; True: the gate is open."""
-    k = nu.size // channel.size
-    rows = np.empty(nu.size, np.int64)
-    for i in range(nu.size):
+    m = H.shape[0]
+    k = m // channel.size
+    rows = np.empty(m, np.int64)
+    for i in range(m):
         rows[i] = channel[i // k] * k + i % k
     _remember(V0, seen, rows, nu, rho, V)
-    return sigmas == 0.0 or _gate_is_open(
-        cov, q, inflated, H, noise, V, k, row, sigmas, 1.0 / (1.0 + rho)
-    )
+    if sigmas == 0.0:
+        return True
+    return _gate_is_open(cov, q, inflated, H, noise, V, k, row, sigmas, 1.0 / (1.0 + rho))
 
 
-@borrowing(fastmath=FAST_SUM)
+@kernel(fastmath=FAST_SUM)
 def _gate_is_open(
     cov: np.ndarray,
     q: np.ndarray,
@@ -238,33 +247,34 @@ def _gate_is_open(
     sigmas: float,
     a: float,
 ) -> bool:
-    """sum (V_qq - S_qq) > sigmas sqrt(2 sum S_qq^2 a / (2 - a)) over rows with information."""
-    m = H.shape[0]
+    """sum (V_qq - S_qq) > sigmas sqrt(2 sum S_qq^2 a / (2 - a)) over rows with information.
+
+    The information of a row h of H is h E (P - Q) E h': what inflation would change of its S.
+    """
+    m, n = H.shape
     size = noise.shape[1]
+    room = np.empty((3 * m + 2 * n, padded(n)))
+    h, hP, hM, P, M = (
+        room[:m], room[m : 2 * m], room[2 * m : 3 * m], room[3 * m : 3 * m + n], room[3 * m + n :],
+    )  # fmt: skip
+    widen(H, h)
+    widen(cov, P)
+    for c in range(n):
+        for e in range(n):
+            M[c, e] = inflated[c] * inflated[e] * (cov[c, e] - q[c, e])
+        for e in range(n, room.shape[1]):
+            M[c, e] = 0.0
+    rows_times(h, P, hP)
+    rows_times(h, M, hM)
     excess, spread = 0.0, 0.0
     for first in range(0, m, k):
-        reference = _information(cov, q, inflated, H[first + row])
+        reference = dot(hM, first + row, h, first + row)
         for i in range(first, first + k):
-            known = i == first + row or _information(cov, q, inflated, H[i]) > 1e-3 * reference
-            if not known:
-                continue
-            S = noise[i // size, i % size, i % size] + quadratic_form(H[i], cov)
-            excess += V[i, i] - S
-            spread += S * S
+            if i == first + row or dot(hM, i, h, i) > 1e-3 * reference:
+                S = noise[i // size, i % size, i % size] + dot(hP, i, h, i)
+                excess += V[i, i] - S
+                spread += S * S
     return excess > sigmas * np.sqrt(2.0 * spread * a / (2.0 - a))
-
-
-@borrowing(fastmath=FAST_SUM)
-def _information(cov: np.ndarray, q: np.ndarray, inflated: np.ndarray, h: np.ndarray) -> float:
-    """Of one row h (n,) of H: h E (P - Q) E h', what inflation would change of its S."""
-    n = h.size
-    M = 0.0
-    for c in range(n):
-        g = h[c] * inflated[c]
-        if g != 0.0:
-            for e in range(n):
-                M += g * (cov[c, e] - q[c, e]) * h[e] * inflated[e]
-    return M
 
 
 @kernel(fastmath=FAST_SUM)

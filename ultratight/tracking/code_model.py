@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from signals.compiled import FAST_SUM, borrowing
 from signals.constants import C_MPS
+from signals.eight import WIDTH, least, load, size, store
 from ultratight.tracking.channels import Channels
 
 LAG1, OFFSET, HALF, SPACING, WAVELENGTH, CHIP, STEPS, TABLE = range(8)
@@ -47,19 +50,19 @@ def correlation(d: float, params: np.ndarray) -> float:
 
 
 @borrowing(fastmath=FAST_SUM)
-def early_late(y: np.ndarray, params: np.ndarray, r: np.ndarray, split: np.ndarray) -> None:
-    """R(d) and R(d - spacing) - R(d + spacing) at the points y (p,) [m]."""
-    lag1, offset, spacing, per_m = params[LAG1], params[OFFSET], params[SPACING], 1.0 / params[CHIP]
-    if params[STEPS] == 1.0:  # without a table the loop is vectorised
-        for i in range(y.size):
-            d = (y[i] + offset) * per_m
-            r[i] = _triangle(d, lag1)
-            split[i] = _triangle(d - spacing, lag1) - _triangle(d + spacing, lag1)
-    else:
-        for i in range(y.size):
-            d = (y[i] + offset) * per_m
-            r[i] = correlation(d, params)
-            split[i] = correlation(d - spacing, params) - correlation(d + spacing, params)
+def early_late(y: Any, params: np.ndarray, room: np.ndarray) -> tuple[Any, Any]:
+    """R(d) and R(d - spacing) - R(d + spacing) at eight points y [m]; room (16,)."""
+    spacing, d = params[SPACING], (y + params[OFFSET]) * (1.0 / params[CHIP])
+    if params[STEPS] == 1.0:
+        drop = 1.0 - params[LAG1]
+        r = 1.0 - drop * least(size(d), 1.0)
+        return r, drop * (least(size(d + spacing), 1.0) - least(size(d - spacing), 1.0))
+    store(room, 0, d)
+    for i in range(WIDTH):
+        at = room[i]
+        room[i] = correlation(at, params)
+        room[WIDTH + i] = correlation(at - spacing, params) - correlation(at + spacing, params)
+    return load(room, 0), load(room, WIDTH)
 
 
 @borrowing

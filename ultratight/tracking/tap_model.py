@@ -2,7 +2,7 @@
 
 `measurements` has the formulas.  The filter's moments are sums of h over points of its own
 choosing, channel after channel: `TapModel.condition` finds them, linearises and updates in one
-compiled call.  Points lie in rows, (d, p), so that h is a handful of loops over p.
+compiled call, eight points at a time.
 """
 
 from __future__ import annotations
@@ -10,32 +10,22 @@ from __future__ import annotations
 import numpy as np
 
 from signals.compiled import FAST_SUM, borrowing, kernel
-from ultratight.filters.conditioning import condition_on
-from ultratight.filters.rules import (
-    chain,
-    moments,
-    project_mean,
-    project_root,
-    regress,
-    scatter,
-    solve_slope,
+from signals.eight import (
+    WIDTH,
+    fill,
+    load,
+    padded,
+    store_part,
+    total,
 )
+from ultratight.filters.conditioning import condition_on, dot, rows_times, widen
+from ultratight.filters.rules import psd_cholesky, solve_slope
 from ultratight.tracking.code_model import (
-    CHIP,
     HALF,
-    OFFSET,
-    SPACING,
     TABLE,
     WAVELENGTH,
-    correlation,
-    early_late,
-    slope,
 )
-
-TINY = 1e-100
-"""sin x / x is exactly 1 here"""
-ROOM = 22
-"""Rows of room that the moments of h need"""
+from ultratight.tracking.tap_functions import jacobian, of_range, of_rate, values
 
 
 class TapModel:
@@ -89,309 +79,193 @@ def _condition(
     P1: np.ndarray,
 ) -> float:
     nb, d, n = A.shape
-    zbar, G = np.empty((nb, 3)), np.empty((nb, 3, d))
-    work = np.empty(ROOM * max(table.shape[1], 1))
-    small = np.empty((d + 2, max(n, d)))
-    _linearise(params, inner, lin_mean, lin_cov, A, table, small, work, zbar, G, noise)
-    chain(G, A, H)
+    zbar, small = np.empty((nb, 3)), np.empty((7, d))
+    outer = table.shape[1] // inner
+    room, points = np.empty((n + 1 + 2 * d, padded(n))), np.empty((d + inner, padded(outer)))
+    shares = np.empty(inner + 6 * WIDTH)
+    _linearise(
+        params, lin_mean, lin_cov, A, table, room, points, shares, small, zbar, H, noise
+    )  # fmt: skip
     return condition_on(mean, cov, lin_mean, zbar.reshape(-1), H, z, R, nu, noise, m1, P1)
 
 
-@borrowing
+@borrowing(fastmath=FAST_SUM)
 def _linearise(
     params: np.ndarray,
-    inner: int,
     mean: np.ndarray,
     cov: np.ndarray,
     A: np.ndarray,
     table: np.ndarray,
+    room: np.ndarray,
+    points: np.ndarray,
+    shares: np.ndarray,
     small: np.ndarray,
-    work: np.ndarray,
+    zbar: np.ndarray,
+    H: np.ndarray,
+    Omega: np.ndarray,
+) -> None:
+    """SLR, or Jacobian, of every channel: zbar (nb, 3), H (3 nb, n), Omega (nb, 3, 3).
+
+    Room: room (n + 1 + 2 d, padded n), points and shares as `_arrange` has them, small (7, d).
+    """
+    nb, d, n = A.shape
+    w = room.shape[1]
+    P, x, rows, AP = room[:n], room[n : n + 1], room[n + 1 : n + 1 + d], room[n + 1 + d :]
+    y, L, G = small[0], small[1 : 1 + d], small[4:]
+    inner = points.shape[0] - d
+    spare = shares[inner:]
+    widen(cov, P)
+    widen(mean.reshape((1, n)), x)
+    _arrange(table, inner, d, points, shares)
+    for b in range(nb):
+        widen(A[b], rows)
+        for j in range(d):
+            y[j] = dot(rows, j, x, 0)
+        if table.shape[1] == 0:
+            values(y.reshape((1, d)), params[b], spare, zbar[b : b + 1])
+            jacobian(y, params[b], G)
+            Omega[b] = 0.0
+        else:
+            rows_times(rows, P, AP)
+            for j in range(d):
+                for i in range(j + 1):
+                    L[j, i] = dot(AP, j, rows, i)
+            psd_cholesky(L, L)
+            _regress(y, L, points, shares, spare, params[b], zbar[b], G, Omega[b])
+        for q in range(3):
+            for v in range(0, w, WIDTH):
+                row = G[q, 0] * load(rows, v)
+                for j in range(1, d):
+                    row += G[q, j] * load(rows, j * w + v)
+                store_part(H, (3 * b + q) * n + v, min(WIDTH, n - v), row)
+
+
+@borrowing
+def _arrange(table: np.ndarray, inner: int, d: int, points: np.ndarray, shares: np.ndarray) -> None:
+    """Points of a rule, (d + 1, p) with its last axis a factor of ``inner``, as `_regress` goes.
+
+    Rows of points (d + inner, padded p / inner): weight and first d - 1 coordinates of the outer
+    points, zeros behind; then the last coordinate of each inner one, for all outer ones.  Shares
+    (inner,): weights of the inner points.
+    """
+    p = table.shape[1]
+    points[:] = 0.0
+    if p == 0:
+        return
+    total_k = 0.0
+    for k in range(inner):
+        total_k += table[0, k]
+    for i in range(p // inner):
+        for j in range(d):
+            points[j, i] = table[j, i * inner]
+        if inner > 1:
+            points[0, i] *= total_k / table[0, 0]
+        for k in range(inner):
+            points[d + k, i] = table[d, i * inner + k]
+    for k in range(inner):
+        shares[k] = table[0, k] / total_k if inner > 1 else 1.0
+
+
+@borrowing(fastmath=FAST_SUM)
+def _regress(
+    y: np.ndarray,
+    L: np.ndarray,
+    points: np.ndarray,
+    shares: np.ndarray,
+    room: np.ndarray,
+    params: np.ndarray,
     zbar: np.ndarray,
     G: np.ndarray,
     Omega: np.ndarray,
 ) -> None:
-    """SLR, or Jacobian, of every channel: zbar (nb, 3), G (nb, 3, d), Omega (nb, 3, 3).
+    """SLR of h at y + L xi: zbar (3,), slope G (3, d), Omega (3, 3).
 
-    small (d + 2, n) and work (ROOM p,): room.
+    L is lower triangular and h_q = g_q(range, phase) f_q(rate), hence only the f depend on the
+    inner points.  Sums over these come first: E[f], E[f xi] and E[f f'] given the outer point.
     """
-    nb, d, n = A.shape
-    p = table.shape[1]
-    y, AP, L = small[0, :d], small[1, :n], small[2 : 2 + d, :d]
-    rows = work.reshape((ROOM, -1))
-    Y, Z, rest = rows[:d], rows[d : d + 3], rows[d + 3 :]
-    for b in range(nb):
-        project_mean(A[b], mean, y)
-        if p == 0:
-            for j in range(d):
-                Y[j, 0] = y[j]
-            _taps(Y, params[b], rest, Z)
-            for q in range(3):
-                zbar[b, q] = Z[q, 0]
-            _jacobian(y, params[b], G[b])
-            Omega[b] = 0.0
-        else:
-            project_root(A[b], cov, AP, L)
-            if d == 3 and inner > 1:
-                _regress_coherent(y, L, table, inner, params[b], work, zbar[b], G[b], Omega[b])
-                continue
-            scatter(y, L, table, Y)
-            _taps(Y, params[b], rest, Z)
-            regress(L, table, Z, rest[0], zbar[b], G[b], Omega[b])
+    d, width = y.size, points.shape[1]
+    to_x, to_phase = np.pi / params[WAVELENGTH] * params[HALF], 2.0 * np.pi / params[WAVELENGTH]
+    last = to_x * L[d - 1, d - 1]
+    z0, z1, z2 = fill(0.0), fill(0.0), fill(0.0)
+    c00, c10, c20 = fill(0.0), fill(0.0), fill(0.0)
+    c01, c11, c21 = fill(0.0), fill(0.0), fill(0.0)
+    c02, c12, c22 = fill(0.0), fill(0.0), fill(0.0)
+    m00, m10, m11 = fill(0.0), fill(0.0), fill(0.0)
+    m20, m21, m22 = fill(0.0), fill(0.0), fill(0.0)
+    for o in range(0, width, WIDTH):
+        weight, xi, more = load(points, o), load(points, width + o), fill(0.0)
+        phase, rate = fill(0.0), to_x * (y[d - 1] + L[d - 1, 0] * xi)
+        if d == 3:
+            more = load(points, 2 * width + o)
+            phase = to_phase * (y[1] + L[1, 0] * xi + L[1, 1] * more)
+            rate += (to_x * L[2, 1]) * more
+        g0, g1, g2 = of_range(d, y[0] + L[0, 0] * xi, phase, params, room)
+        a0, a1, a2 = fill(0.0), fill(0.0), fill(0.0)
+        b0, b1, b2 = fill(0.0), fill(0.0), fill(0.0)
+        s00, s10, s11 = fill(0.0), fill(0.0), fill(0.0)
+        s20, s21, s22 = fill(0.0), fill(0.0), fill(0.0)
+        for k in range(points.shape[0] - d):
+            step = load(points, (d + k) * width + o)
+            f0, f1, f2 = of_rate(d, rate + last * step)
+            v0, v1, v2 = shares[k] * f0, shares[k] * f1, shares[k] * f2
+            a0 += v0
+            a1 += v1
+            a2 += v2
+            b0 += step * v0
+            b1 += step * v1
+            b2 += step * v2
+            s00 += v0 * f0
+            s10 += v1 * f0
+            s11 += v1 * f1
+            s20 += v2 * f0
+            s21 += v2 * f1
+            s22 += v2 * f2
+        w0, w1, w2 = weight * g0, weight * g1, weight * g2
+        a0, a1, a2 = w0 * a0, w1 * a1, w2 * a2
+        z0 += a0
+        z1 += a1
+        z2 += a2
+        c00 += a0 * xi
+        c10 += a1 * xi
+        c20 += a2 * xi
+        c01 += a0 * more
+        c11 += a1 * more
+        c21 += a2 * more
+        c02 += w0 * b0
+        c12 += w1 * b1
+        c22 += w2 * b2
+        m00 += w0 * g0 * s00
+        m10 += w1 * g0 * s10
+        m11 += w1 * g1 * s11
+        m20 += w2 * g0 * s20
+        m21 += w2 * g1 * s21
+        m22 += w2 * g2 * s22
+    zbar[0], zbar[1], zbar[2] = total(z0), total(z1), total(z2)
+    G[0, 0], G[1, 0], G[2, 0] = total(c00), total(c10), total(c20)
+    if d == 3:
+        G[0, 1], G[1, 1], G[2, 1] = total(c01), total(c11), total(c21)
+    G[0, d - 1], G[1, d - 1], G[2, d - 1] = total(c02), total(c12), total(c22)
+    Omega[0, 0], Omega[1, 0], Omega[1, 1] = total(m00), total(m10), total(m11)
+    Omega[2, 0], Omega[2, 1], Omega[2, 2] = total(m20), total(m21), total(m22)
+    for q in range(3):
+        for r in range(q + 1):
+            s = Omega[q, r] - zbar[q] * zbar[r] - G[q, 0] * G[r, 0] - G[q, 1] * G[r, 1]
+            if d == 3:
+                s -= G[q, 2] * G[r, 2]
+            Omega[q, r] = s
+            Omega[r, q] = s
+    solve_slope(L, G)
 
 
 @kernel
 def _evaluate(y: np.ndarray, params: np.ndarray, z: np.ndarray) -> None:
     """z (nb, p, 3) at y (nb, p, d)."""
-    p = y.shape[1]
-    points, values, work = np.empty((y.shape[2], p)), np.empty((3, p)), np.empty((8, p))
+    room = np.empty(6 * WIDTH)
     for b in range(y.shape[0]):
-        points[:] = y[b].T
-        _taps(points, params[b], work, values)
-        z[b] = values.T
+        values(y[b], params[b], room, z[b])
 
 
 @kernel
 def _jacobians(y: np.ndarray, params: np.ndarray, J: np.ndarray) -> None:
     for b in range(y.shape[0]):
-        _jacobian(y[b], params[b], J[b])
-
-
-@borrowing
-def _taps(y: np.ndarray, params: np.ndarray, work: np.ndarray, z: np.ndarray) -> None:
-    """h of one channel: z (3, p) at y (d, p); work (8, p)."""
-    if y.shape[0] == 2:
-        _differential(y, params, work, z)
-    else:
-        _coherent(y, params, work, z)
-
-
-@borrowing
-def _jacobian(y: np.ndarray, params: np.ndarray, J: np.ndarray) -> None:
-    """dz/dy (3, d) of one channel at y (d,)."""
-    if y.size == 2:
-        _jacobian_differential(y, params, J)
-    else:
-        _jacobian_coherent(y, params, J)
-
-
-@borrowing(fastmath={"contract"})
-def sin_cos(x: np.ndarray, s: np.ndarray, c: np.ndarray) -> None:
-    """Sine and cosine of x (p,), without branches or tables so that the loop is vectorised.
-
-    x = k pi + r, |r| <= pi/2, and Taylor polynomials of r whose remainders are below 2e-17.  The
-    second part of pi needs the sums as they stand, hence no reassociation; |x| < 1e6.
-    """
-    for i in range(x.size):
-        k = np.floor(x[i] * (1.0 / np.pi) + 0.5)
-        r = (x[i] - k * np.pi) - k * 1.2246467991473532e-16
-        sign = 1.0 - 2.0 * (k - 2.0 * np.floor(0.5 * k))
-        q = r * r
-        u = 1.0 / 51090942171709440000.0
-        u = u * q - 1.0 / 121645100408832000.0
-        u = u * q + 1.0 / 355687428096000.0
-        u = u * q - 1.0 / 1307674368000.0
-        u = u * q + 1.0 / 6227020800.0
-        u = u * q - 1.0 / 39916800.0
-        u = u * q + 1.0 / 362880.0
-        u = u * q - 1.0 / 5040.0
-        u = u * q + 1.0 / 120.0
-        u = u * q - 1.0 / 6.0
-        s[i] = sign * (r + r * q * u)
-        u = 1.0 / 2432902008176640000.0
-        u = u * q - 1.0 / 6402373705728000.0
-        u = u * q + 1.0 / 20922789888000.0
-        u = u * q - 1.0 / 87178291200.0
-        u = u * q + 1.0 / 479001600.0
-        u = u * q - 1.0 / 3628800.0
-        u = u * q + 1.0 / 40320.0
-        u = u * q - 1.0 / 720.0
-        u = u * q + 1.0 / 24.0
-        c[i] = sign * (1.0 - 0.5 * q + q * q * u)
-
-
-@borrowing(fastmath=FAST_SUM)
-def _differential(y: np.ndarray, params: np.ndarray, work: np.ndarray, z: np.ndarray) -> None:
-    p = y.shape[1]
-    x, s, c, r, split = work[0], work[1], work[2], work[3], work[4]
-    to_x = np.pi / params[WAVELENGTH] * params[HALF]
-    early_late(y[0], params, r, split)
-    for i in range(p):
-        turn = to_x * y[1, i]
-        x[i] = turn if abs(turn) > TINY else TINY
-    sin_cos(x, s, c)
-    for i in range(p):
-        loss = r[i] * (s[i] / x[i]) ** 2
-        z[0, i] = r[i] * loss * (c[i] * c[i] - s[i] * s[i])
-        z[1, i] = r[i] * loss * 2.0 * c[i] * s[i]
-        z[2, i] = loss * split[i]
-
-
-@borrowing(fastmath=FAST_SUM)
-def _coherent(y: np.ndarray, params: np.ndarray, work: np.ndarray, z: np.ndarray) -> None:
-    p = y.shape[1]
-    x, s, c, phase, cos_x, sinc = work[0], work[1], work[2], work[3], work[4], work[5]
-    r, split = work[6], work[7]
-    to_x, per_m = np.pi / params[WAVELENGTH] * params[HALF], 2.0 * np.pi / params[WAVELENGTH]
-    early_late(y[0], params, r, split)
-    for i in range(p):
-        turn = to_x * y[2, i]
-        x[i] = turn if abs(turn) > TINY else TINY
-        phase[i] = per_m * y[1, i]
-    sin_cos(x, s, cos_x)
-    for i in range(p):
-        sinc[i] = s[i] / x[i]
-    sin_cos(phase, s, c)
-    for i in range(p):
-        amplitude = r[i] * sinc[i] * cos_x[i]  # sinc(2 x) = sinc(x) cos(x)
-        z[0, i] = amplitude * c[i]
-        z[1, i] = amplitude * s[i]
-        z[2, i] = sinc[i] * sinc[i] * r[i] * split[i]
-
-
-@borrowing(fastmath=FAST_SUM)
-def _regress_coherent(
-    y: np.ndarray,
-    L: np.ndarray,
-    table: np.ndarray,
-    inner: int,
-    params: np.ndarray,
-    work: np.ndarray,
-    zbar: np.ndarray,
-    G: np.ndarray,
-    Omega: np.ndarray,
-) -> None:
-    """SLR of model C by a rule whose last axis is a factor: the same sums in another order.
-
-    L is lower triangular, hence range and phase depend on the outer points alone and only the two
-    losses s = sinc(2 x) and c = sinc(x)^2 on the inner ones.  Their mean, slope and covariance
-    given the outer point are found first; then Cov(z) = Cov(E[z | outer]) + E[Cov(z | outer)].
-    """
-    n = table.shape[1] // inner
-    rows = work[: ROOM * n].reshape((ROOM, n))
-    outer, Z = rows[0:3], rows[3:6]
-    x, sine, cosine, rate, s, c = rows[6], rows[7], rows[8], rows[9], rows[10], rows[11]
-    ds, dc, es, ec = rows[12], rows[13], rows[14], rows[15]
-    vss, vsc, vcc = rows[16], rows[17], rows[18]
-    a, b, t = rows[19], rows[20], rows[21]
-    total = 0.0
-    for k in range(inner):
-        total += table[0, k]
-    share = total / table[0, 0]
-    turn, radian_m = np.pi / params[WAVELENGTH] * params[HALF], 2.0 * np.pi / params[WAVELENGTH]
-    ranges, r, split = rows[12], rows[13], rows[14]
-    for i in range(n):
-        for j in range(3):
-            outer[j, i] = table[j, i * inner]
-        outer[0, i] *= share
-    for i in range(n):
-        ranges[i] = y[0] + L[0, 0] * outer[1, i]
-        x[i] = radian_m * (y[1] + L[1, 0] * outer[1, i] + L[1, 1] * outer[2, i])
-        rate[i] = turn * (y[2] + L[2, 0] * outer[1, i] + L[2, 1] * outer[2, i])
-    sin_cos(x, sine, cosine)
-    early_late(ranges, params, r, split)
-    for i in range(n):
-        a[i] = r[i] * cosine[i]
-        b[i] = r[i] * sine[i]
-        t[i] = r[i] * split[i]
-    rows[12:19] = 0.0
-    for k in range(inner):
-        at = (k + inner // 2) % inner  # from the middle one on, whose values are taken off
-        v, step = table[0, at] / total, table[3, at]
-        for i in range(n):
-            angle = rate[i] + turn * L[2, 2] * step
-            x[i] = angle if abs(angle) > TINY else TINY
-        sin_cos(x, sine, cosine)
-        if k == 0:
-            for i in range(n):
-                sinc = sine[i] / x[i]
-                s[i] = sinc * cosine[i]
-                c[i] = sinc * sinc
-        for i in range(n):
-            sinc = sine[i] / x[i]
-            off_s, off_c = sinc * cosine[i] - s[i], sinc * sinc - c[i]
-            ds[i] += v * off_s
-            dc[i] += v * off_c
-            es[i] += v * step * off_s
-            ec[i] += v * step * off_c
-            vss[i] += v * off_s * off_s
-            vsc[i] += v * off_s * off_c
-            vcc[i] += v * off_c * off_c
-    for i in range(n):
-        Z[0, i] = a[i] * (s[i] + ds[i])
-        Z[1, i] = b[i] * (s[i] + ds[i])
-        Z[2, i] = t[i] * (c[i] + dc[i])
-    moments(outer, Z, x, zbar, G, Omega)
-    for q in range(3):
-        G[q, 2] = 0.0
-    for i in range(n):
-        w = outer[0, i]
-        G[0, 2] += w * a[i] * es[i]
-        G[1, 2] += w * b[i] * es[i]
-        G[2, 2] += w * t[i] * ec[i]
-        ss, sc = w * (vss[i] - ds[i] * ds[i]), w * (vsc[i] - ds[i] * dc[i])
-        Omega[0, 0] += a[i] * a[i] * ss
-        Omega[1, 0] += a[i] * b[i] * ss
-        Omega[1, 1] += b[i] * b[i] * ss
-        Omega[2, 0] += a[i] * t[i] * sc
-        Omega[2, 1] += b[i] * t[i] * sc
-        Omega[2, 2] += t[i] * t[i] * w * (vcc[i] - dc[i] * dc[i])
-    for q in range(3):
-        for r in range(q + 1):
-            Omega[q, r] -= G[q, 2] * G[r, 2]
-            Omega[r, q] = Omega[q, r]
-    solve_slope(L, G)
-
-
-@borrowing
-def _sinc(x: float) -> float:
-    return 1.0 - x * x / 6.0 if abs(x) < 1e-4 else np.sin(x) / x
-
-
-@borrowing
-def _sinc_slope(x: float) -> float:
-    return -x / 3.0 if abs(x) < 1e-4 else (np.cos(x) - np.sin(x) / x) / x
-
-
-# In the Jacobians the prompt's R(d) counts as constant: its peak is a kink, whose one-sided slope
-# would tell an extended Kalman filter a range error from the amplitude alone.
-
-
-@borrowing
-def _jacobian_differential(y: np.ndarray, params: np.ndarray, J: np.ndarray) -> None:
-    half, spacing, wavelength_m = params[HALF], params[SPACING], params[WAVELENGTH]
-    d = (y[0] + params[OFFSET]) / params[CHIP]
-    to_x = np.pi / wavelength_m * half
-    x = to_x * y[1]
-    s = _sinc(x)
-    ds = _sinc_slope(x)
-    r = correlation(d, params)
-    split = correlation(d - spacing, params) - correlation(d + spacing, params)
-    split_slope = slope(d - spacing, params) - slope(d + spacing, params)
-    c, q = np.cos(2.0 * x), np.sin(2.0 * x)
-    J[:] = 0.0
-    J[0, 1] = r * r * to_x * (2.0 * s * ds * c - 2.0 * s * s * q)
-    J[1, 1] = r * r * to_x * (2.0 * s * ds * q + 2.0 * s * s * c)
-    J[2, 0] = s * s * r * split_slope / params[CHIP]
-    J[2, 1] = 2.0 * s * ds * to_x * r * split
-
-
-@borrowing
-def _jacobian_coherent(y: np.ndarray, params: np.ndarray, J: np.ndarray) -> None:
-    half, spacing, wavelength_m = params[HALF], params[SPACING], params[WAVELENGTH]
-    d = (y[0] + params[OFFSET]) / params[CHIP]
-    phase = 2.0 * np.pi * y[1] / wavelength_m
-    to_x = np.pi / wavelength_m * half
-    x = to_x * y[2]
-    s, s2 = _sinc(x), _sinc(2.0 * x)
-    r = correlation(d, params)
-    split = correlation(d - spacing, params) - correlation(d + spacing, params)
-    split_slope = slope(d - spacing, params) - slope(d + spacing, params)
-    c, q = np.cos(phase), np.sin(phase)
-    J[:] = 0.0
-    J[0, 1] = -r * s2 * q * 2.0 * np.pi / wavelength_m
-    J[1, 1] = r * s2 * c * 2.0 * np.pi / wavelength_m
-    J[0, 2] = r * c * _sinc_slope(2.0 * x) * 2.0 * to_x
-    J[1, 2] = r * q * _sinc_slope(2.0 * x) * 2.0 * to_x
-    J[2, 0] = s * s * r * split_slope / params[CHIP]
-    J[2, 2] = 2.0 * s * _sinc_slope(x) * to_x * r * split
+        jacobian(y[b], params[b], J[b])
