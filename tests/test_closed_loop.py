@@ -249,11 +249,16 @@ def test_samples_agree_with_the_closed_form():
 
 @pytest.mark.parametrize("measurement", ["coherent", "differential"])
 def test_each_component_of_the_innovation_is_as_wide_as_said(measurement):
-    """Specification 10.2: NIS of I, Q and S, each 0.95 to 1.03 in uniform motion."""
+    """Specification 10.2: NIS of I, Q and S, each 0.95 to 1.03 in uniform motion.
+
+    All rows together: 10.1.  The sum of the Q rows, which the oscillator moves as one, has one
+    number per epoch: expectation 1, within 4 standard errors.
+    """
 
     class Listener:
         def __init__(self):
             self.filter, self.sum, self.n = make_filter("qkf"), np.zeros(3), 0
+            self.nis, self.common, self.epochs = 0.0, 0.0, 0
 
         def reset(self):
             self.filter.reset()
@@ -264,6 +269,9 @@ def test_each_component_of_the_innovation_is_as_wide_as_said(measurement):
                 share = (update.innovation**2 / np.diag(update.S)).reshape(-1, 3)
                 self.sum += share.sum(axis=0)
                 self.n += len(share)
+                self.nis += update.nis
+                self.common += update.innovation[1::3].sum() ** 2 / update.S[1::3, 1::3].sum()
+                self.epochs += 1
             return update
 
     listener = Listener()
@@ -272,6 +280,9 @@ def test_each_component_of_the_innovation_is_as_wide_as_said(measurement):
         ultratight.run(chosen, seed, filter=listener)
     component = listener.sum / listener.n
     assert np.all((component > 0.95) & (component < 1.03)), component
+    assert 0.97 < listener.nis / (3 * listener.n) < 1.02
+    common = listener.common / listener.epochs
+    assert common == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / listener.epochs))
 
 
 @pytest.mark.slow

@@ -218,6 +218,31 @@ def test_clock_noise_is_common_to_all_phases():
     np.testing.assert_allclose(Q[layout.cd][0], 0.0355 * (T**2 / 2 * shared + T * np.eye(25)[16]))
 
 
+def test_the_clock_step_is_what_the_state_holds_and_a_bit_before_has_not_met():
+    """Q of cb, cd, a phase and the step from the noises' own kernels, integrated numerically.
+
+    Noise at u before t enters cb and p by 1 (S_f) and by u (S_g), cd by 1 (S_g); carried back to
+    t - T - lag by the drift, cb has u - (T + lag) of S_g, hence the step's kernel is -(y + lag)
+    with y = T - u.
+    """
+    T, lag, sf, sg = 0.02, 0.01, 4.5e-5, 0.0355
+    only = ProcessNoise(0.0, 0.0, 0.0, 0.0, sf, sg)
+    layout = Layout.build(n_phase=8, clock_step=True)
+    Phi, Q = transition(layout, only, R, C, FORCE, U, T, clock_lag_s=lag)
+    u = (np.arange(20_000) + 0.5) * T / 20_000
+    of_sf = np.stack([np.ones_like(u), np.zeros_like(u), np.ones_like(u), np.ones_like(u)])
+    of_sg = np.stack([u, np.ones_like(u), u, u - (T + lag)])
+    expected = (sf * of_sf @ of_sf.T + sg * of_sg @ of_sg.T) * T / 20_000
+    rows = [layout.cb.start, layout.cd.start, layout.phase.start + 3, layout.clock_step.start]
+    np.testing.assert_allclose(Q[np.ix_(rows, rows)], expected, rtol=1e-6)
+    np.testing.assert_array_equal(Q, Q.T)
+    assert np.linalg.eigvalsh(Q / np.abs(Q).max()).min() > -1e-12
+    # nothing follows from it, it follows from nothing
+    assert layout.clock_step.stop == layout.n == Phi.shape[0] == 26
+    assert not Phi[layout.clock_step].any()
+    assert not Phi[:, layout.clock_step].any()
+
+
 def test_gravity_enters_upside_down():
     """Higher means weaker gravity: an estimate too low (r up) falls too fast (v' up)."""
     up = R / np.linalg.norm(R)

@@ -195,6 +195,41 @@ def test_projection_is_the_derivative_of_range_and_rate_at_the_middle_of_the_bit
         np.testing.assert_allclose(A[:, k], errors(x), atol=1e-12, err_msg=str(k))
 
 
+@pytest.mark.parametrize("lag", [0.0101, 0.015, 0.02, 0.025, 0.0299])
+def test_a_bit_is_short_of_its_share_of_the_clock_step(lag):
+    """Mean of the clock over the bit against A x, noise instant by noise instant.
+
+    x is made of the same noise: cb and p of all S_f up to t - h and all S_g up to t, the step as
+    `clock_step_into` defines it.  What remains of S_f is the mean over the bit against a straight
+    line, at most S_f T / 12 as at both ends and in the middle (mean of a Brownian bridge); of S_g
+    what came in the last h, S_g h^3 / 3 and a fifth for the mean over the bit.  Without the share
+    of the step a bit that ended before t - h keeps S_f (lag - h - h / 3).
+    """
+    T, h, t, sf, sg = 0.02, HALF_S, 1.0, 4.5e-5, 0.0355
+    paired = Bits(
+        np.array([0]), np.array([0]), np.array([[t - lag, h, 0.0]]), np.ones((1, 2, 3), complex)
+    )
+    memory, data = Amplitudes(np.array([A2]), np.zeros(1, complex)), np.ones((1, 100), np.int8)
+    found = measure(paired, LEVEL, t, 19, 17, *CODE, SPACING, sf, memory, data, 0, h, T)
+    row = found.A[0, 1]
+    assert found.A[0, 0, 18] == row[18]  # the code sees the same clock
+    du = 1e-6
+    u = np.arange(-0.045, 0.0, du) + 0.5 * du  # noise at t + u
+    within = np.clip((-lag + h - u) / (2.0 * h), 0.0, 1.0)  # share of the bit after it
+    fresh = (u >= -T - h) & (u < -h)
+    seen = row[17] * (u < -h) + row[18] * fresh
+    rest_f = sf * np.sum((within - seen) ** 2) * du
+    mean_after = np.clip(-lag + h - u, 0.0, 2.0 * h)  # (s - u)+ averaged over the bit
+    ramp = np.where(u < -lag - h, -lag - u, mean_after**2 / (4.0 * h))
+    step = -(u + T + h) * (u >= -T)
+    rest_g = sg * np.sum((ramp - (row[17] * -u + row[16] + row[18] * step)) ** 2) * du
+    assert rest_f <= 1.001 * sf * T / 12.0
+    assert rest_g <= 1.201 * sg * h**3 / 3.0
+    if lag >= 2.0 * h:
+        without = sf * np.sum((within - row[17] * (u < -h)) ** 2) * du
+        assert without == pytest.approx(sf * (lag - h - h / 3.0), rel=1e-3)
+
+
 def test_a_half_that_lost_its_partner_is_dropped():
     found = taps(0.0, 0.0, n_bit=3)
     keep = np.ones(found.channel.size, bool)

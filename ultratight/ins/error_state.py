@@ -9,6 +9,7 @@ error = true - estimate, C_true = (I + [psi x]) C_est, all resolved in ECEF axes
     b_a', b_g', s' = white                                      (random walks)
     cb' = cd + white S_f,   cd' = white S_g
     p_i' = -u_i . (v + psi x w) - u_i' . r + cd + the same white S_f   (carrier phase, metres)
+    step: what the clock's noises did to all phases in this epoch, see `clock_step_into`
 
 with u_i the unit vector to the satellite and w the velocity C (omega x lever arm) of the antenna
 with respect to the IMU.  The biases of a Gauss-Markov sensor error (sigma, tau) beside a constant
@@ -51,16 +52,19 @@ class Layout:
     cd: slice
     accel_scale_factor: slice  # empty without scale factors
     phase: slice  # empty without phases
+    clock_step: slice  # empty without it
 
     @classmethod
-    def build(cls, scale_factor: bool = False, n_phase: int = 0) -> Layout:
-        """17 states, + 3 accelerometer scale factors, + one carrier phase per channel."""
+    def build(
+        cls, scale_factor: bool = False, n_phase: int = 0, clock_step: bool = False
+    ) -> Layout:
+        """17 states, + 3 accelerometer scale factors, + one carrier phase per channel, + step."""
         if n_phase < 0:
             raise ValueError(f"n_phase = {n_phase}: expected >= 0")
         n_scale = 3 if scale_factor else 0
         phase = SCALE_FACTOR + n_scale
         return cls(
-            n=phase + n_phase,
+            n=phase + n_phase + clock_step,
             n_scale=n_scale,
             n_phase=n_phase,
             r=slice(R, R + 3),
@@ -72,6 +76,7 @@ class Layout:
             cd=slice(CD, CD + 1),
             accel_scale_factor=slice(SCALE_FACTOR, phase),
             phase=slice(phase, phase + n_phase),
+            clock_step=slice(phase + n_phase, phase + n_phase + clock_step),
         )
 
 
@@ -98,6 +103,7 @@ def transition(
     T: float,
     antenna_velocity_e: np.ndarray | None = None,
     u_rate: np.ndarray | None = None,
+    clock_lag_s: float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Phi = I + F T + (F T)^2 / 2 and Q = T (Phi G Phi' + G) / 2 over an epoch of T seconds.
 
@@ -114,6 +120,8 @@ def transition(
         C (omega_eb x lever arm), velocity of the antenna with respect to the IMU.
     u_rate : (n_phase, 3) array, optional
         Turn of the lines of sight [1/s]: some 1e-4, a velocity where the position error is metres.
+    clock_lag_s : float
+        Of a layout with the clock's step: see `clock_step_into`.
 
     Returns
     -------
@@ -130,6 +138,8 @@ def transition(
     transition_into(
         r_eb_e, C_b_e, f_ib_b, T, u, du, w, layout.n_scale, layout.n_phase, densities, work, Phi, Q
     )
+    if layout.n > layout.clock_step.start:
+        clock_step_into(T, clock_lag_s, layout.n_scale, layout.n_phase, densities, Phi, Q)
     return Phi, Q
 
 
@@ -239,6 +249,39 @@ def transition_into(
         for j in range(CB, n):
             if (i == CB or i >= first_phase) and (j == CB or j >= first_phase):
                 Q[i, j] += 0.5 * T * density[CLOCK_SF]
+
+
+@borrowing
+def clock_step_into(
+    T: float, lag: float, n_scale: int, n_phase: int, density: np.ndarray, Phi: np.ndarray,
+    Q: np.ndarray,
+) -> None:  # fmt: skip
+    """Rows and columns of the clock's step, the last state, in Phi and Q of `transition_into`.
+
+    What saw the clock at t - lag - T has met none of the noise of the epoch [t - T, t] of T
+    seconds, and yet cb, cd and p at t, carried back by the drift, hold all of it:
+
+        step = int (white S_f) - int (y + lag) (white S_g) dy,   y = time since t - T.
+
+    What saw it later is short of a share of the step (`tracking.measurements`).  The step is new
+    in every epoch, nothing follows from it, and its estimate is dropped.  Of the clock's states
+    Q becomes exact: the trapezium's T^3 / 2 of the drift's noise is T^3 / 3.
+    """
+    n = Phi.shape[0]
+    w, first = n - 1, SCALE_FACTOR + n_scale
+    sf, sg = density[CLOCK_SF] * T, density[CLOCK_SG] * T
+    level = sf - sg * T * (T / 6.0 + lag / 2.0)
+    for i in range(n):
+        Phi[i, w], Phi[w, i], Q[i, w], Q[w, i] = 0.0, 0.0, 0.0, 0.0
+    for i in range(CB, first + n_phase):
+        if i == CB or i >= first:
+            Q[i, w], Q[w, i] = level, level
+            for j in range(CB, first + n_phase):
+                if j == CB or j >= first:
+                    Q[i, j] -= sg * T * T / 6.0
+    Q[CD, w] = -sg * (0.5 * T + lag)
+    Q[w, CD] = Q[CD, w]
+    Q[w, w] = sf + sg * (T * T / 3.0 + lag * (T + lag))
 
 
 @borrowing

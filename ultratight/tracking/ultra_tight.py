@@ -15,6 +15,7 @@ from ultratight.ins.error_state import (
     SCALE_FACTOR,
     Layout,
     ProcessNoise,
+    clock_step_into,
     transition_into,
 )
 from ultratight.ins.imu import Increments
@@ -87,6 +88,7 @@ class UltraTight:
         self.no_phase = np.zeros(n)
         facts = knows.channels
         self.half_s, self.wavelength_m = facts.half_s, facts.wavelength_m
+        self.clock_lag_s = float(facts.half_s.min())
         self.half_bits = HalfBits(facts, 3)
         self.codes = code_rows(facts)
         self.amplitudes = Amplitudes(
@@ -105,7 +107,7 @@ class UltraTight:
         self.valid = np.ones(n, dtype=np.bool_)
 
     def _layout(self, n_phase: int = 0) -> Layout:
-        return Layout.build(self.settings.states == N_WITH_SCALE, n_phase)
+        return Layout.build(self.settings.states == N_WITH_SCALE, n_phase, n_phase > 0)
 
     def steer(self, t_end_s: float, imu: Increments) -> Nco:
         """Command one piece per increment of the epoch; each uses only earlier increments."""
@@ -162,7 +164,7 @@ class UltraTight:
         return measure(
             bits, self.steering, self.t_s, layout.n, layout.phase.start, self.codes,
             k.channels.pilot, self.spacing_chips, self.noise.clock_sf, self.amplitudes,
-            k.data_bits, k.first_bit,
+            k.data_bits, k.first_bit, self.clock_lag_s, self.settings.epoch_s,
         )._replace(span=bits.span)  # fmt: skip
 
     def _prediction(self) -> Prediction:
@@ -171,7 +173,7 @@ class UltraTight:
         work = np.empty((n + 1, n))
         _transition(
             s.buffer, T, self.u_before, self.layout.n_scale, self.layout.n_phase,
-            self._densities, work, phi, q, force,
+            self.clock_lag_s, self._densities, work, phi, q, force,
         )  # fmt: skip
         if self.epoch == 0:
             force[1] = 0.0
@@ -286,6 +288,7 @@ def _transition(
     u_before: np.ndarray,
     n_scale: int,
     n_phase: int,
+    clock_lag_s: float,
     density: np.ndarray,
     work: np.ndarray,
     Phi: np.ndarray,
@@ -305,6 +308,8 @@ def _transition(
         s.r_eb_e, s.C_b_e, s.mean_force[0], T, s.u, u_before, (vx, vy, vz), n_scale, n_phase,
         density, work, Phi, Q,
     )  # fmt: skip
+    if n_phase:
+        clock_step_into(T, clock_lag_s, n_scale, n_phase, density, Phi, Q)
     for i in range(u_before.shape[0]):
         for k in range(3):
             u_before[i, k] = s.u[i, k]
