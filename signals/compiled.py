@@ -21,6 +21,7 @@ process ran before.  numba's ``njit`` does not promise that, for two reasons:
 from __future__ import annotations
 
 import hashlib
+import logging
 import os
 import re
 import shutil
@@ -39,6 +40,8 @@ from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import FunctionPass, PassManager, register_pass
 from numba.core.typed_passes import NopythonTypeInference
+
+_log = logging.getLogger(__name__)
 
 KEEP_S = 30 * 86_400
 """Age at which the cache of other sources goes"""
@@ -89,15 +92,27 @@ def _cache_dir(module: str) -> str | None:
     chooser = f"{__name__.rpartition('.')[0]}.cpu"
     if chooser in dict(sources):
         digest.update(import_module(chooser).path().encode())
-    folder = cache_root() / digest.hexdigest()[:16]
+    root = cache_root()
+    folder = root / digest.hexdigest()[:16]
     try:
         if not folder.exists():
             _prune(folder.parent)
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             return str(folder)
-    except OSError:
+    except OSError as error:
+        _warn(root, error.strerror or type(error).__name__)
         return None
+
+
+@cache
+def _warn(root: Path, reason: str) -> None:
+    """Once for all modules."""
+    _log.warning(
+        "kernel cache %s cannot be written to (%s): each process compiles anew, which takes "
+        "minutes; ULTRATIGHT_CACHE_DIR names another folder",
+        root, reason,
+    )  # fmt: skip
 
 
 def _sources(module: str) -> list[tuple[str, str]]:

@@ -36,6 +36,10 @@ def correlations(
     within +- bandwidth_hz / 2 (of ``chip_rate_hz`` (n_channel,)).  The curve is smooth then and is
     given at ``finer`` steps to each of the replica's own.  The replica stays unfiltered: taps have
     the mean sqrt(kept) R and the noise covariance R.
+
+    Raises
+    ------
+    ValueError : a replica without power, before or behind the filter.
     """
     rows, kept = [], []
     scale = 1 if bandwidth_hz is None else finer
@@ -54,6 +58,10 @@ def correlations(
             row = np.fft.irfft(power[: n // 2 + 1], n) * n
             if np.array_equal(values, np.rint(values)):
                 row = np.rint(row * n)  # sums of whole numbers
+        if not row[0] > 0.0:
+            raise ValueError(
+                f"replica {i} has no power: its chips are 0, or the filter leaves none"
+            )
         rows.append(np.append(row, row[0]) / row[0])
         kept.append(share)
     sizes = np.array([row.size for row in rows], dtype=np.int64)

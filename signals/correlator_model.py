@@ -93,8 +93,10 @@ class ModelCorrelator:
         noise: bool = True,
     ) -> None:
         self.offset_chips = np.ascontiguousarray(offset_chips, dtype=np.float64)
-        if self.offset_chips.ndim != 1 or not np.all(np.isfinite(self.offset_chips)):
-            raise ValueError(f"offset_chips is {offset_chips}: expected finite (n_tap,)")
+        if self.offset_chips.ndim != 1 or not np.all(np.abs(self.offset_chips) <= 1e9):
+            raise ValueError(
+                f"offset_chips is {offset_chips}: expected (n_tap,) of at most 1e9 in size"
+            )
         n_channel = state.valid.shape[0]
         own = correlations_of(chips)
         if len(own.first) != n_channel or np.shape(prn) != (n_channel,):
@@ -161,15 +163,25 @@ def _what_is_wrong(nco: Nco) -> str:
     """Say which number of a valid channel cannot be run."""
     for name in Nco._fields[1:6]:
         values = getattr(nco, name)[:, nco.valid]
-        if not np.isfinite(values).all():
-            return f"nco.{name} of a valid channel is {values[~np.isfinite(values)][0]}: not finite"
+        most = 0.5 * _FAR if "phase" in name else _FAST / 3.0
+        far = ~(np.abs(values) <= most)
+        if far.any():
+            return (
+                f"nco.{name} of a valid channel is {values[far][0]}: expected at most {most:.2g} "
+                "in size"
+            )
     return f"nco.chip_rate_hz is {nco.chip_rate_hz[:, nco.valid].min()}: expected > 0"
 
 
 def _check_symbols(state: SignalState, symbol_chips: np.ndarray) -> None:
-    """Refuse symbols that do not cover the code phase of every valid piece."""
+    """Refuse absurd phases, and symbols that do not cover the code phase of every valid piece."""
     if not state.valid.any():
         return
+    for name in ("code_phase_chips", "carrier_phase_cycles"):
+        values = getattr(state, name)[state.valid]
+        if not np.all(np.abs(values) <= _FAR):
+            far = values[~(np.abs(values) <= _FAR)][0]
+            raise ValueError(f"state.{name} contains {far}: expected at most {_FAR:g} in size")
     step = np.diff(state.t_s)
     code = state.code_phase_chips
     end = code[..., 0] + step * (code[..., 1] + step * (code[..., 2] + step * code[..., 3]))
@@ -203,6 +215,7 @@ def _truth_table(state: SignalState, multiple_access: bool, kept: np.ndarray) ->
 
 # columns of a channel's position: is the index known, is a sum open, index, length
 _KNOWN, _OPEN, _INDEX, _DUMP = 0, 1, 2, 3
+_FAR, _FAST = 2e15, 1e10  # phases and rates of a command: more would not fit the integers of sums
 _CHIP_TOLERANCE = 1e-6  # in continuous time a code phase this little past a multiple is at it
 
 
@@ -287,8 +300,9 @@ def _most_dumps(nco: Nco, truth: np.ndarray, period_chips: np.ndarray) -> tuple[
                 return False, 0
             fastest = 0.0
             for p in range(n_piece):
-                total = code[p, i] + chip_rate[p, i] + carrier[p, i] + freq[p, i] + rate[p, i]
-                if not (math.isfinite(total) and chip_rate[p, i] > 0.0):
+                phases = abs(code[p, i]) + abs(carrier[p, i])
+                rates = chip_rate[p, i] + abs(freq[p, i]) + abs(rate[p, i])
+                if not (phases <= _FAR and rates <= _FAST and chip_rate[p, i] > 0.0):
                     return False, 0
                 fastest = max(fastest, chip_rate[p, i])
             most += 2.0 * n_piece + fastest * (t_s[n_piece] - t_s[0]) / dump_chips[i]

@@ -18,6 +18,8 @@ import numpy as np
 
 from signals.sample_formats import VALUES_PER_BYTE, FileFormat, decode, file_format
 
+_RATES_HZ = 1.0, 1e12
+_LAST_SAMPLE = 2**53  # n / rate still tells one sample from the next
 _MEASURED_BLOCKS, _MEASURED_SAMPLES = 64, 16_384
 
 
@@ -84,23 +86,31 @@ class Recording:
         swap_iq: bool = False,
         conjugate: bool = False,
     ) -> None:
-        if not (math.isfinite(sample_rate_hz) and sample_rate_hz > 0.0):
-            raise ValueError(f"sample_rate_hz is {sample_rate_hz}: expected a positive rate")
+        where = "" if isinstance(source, np.ndarray) else f"{source}: "
+        low, high = _RATES_HZ
+        if not low <= sample_rate_hz <= high:
+            raise ValueError(
+                f"{where}sample_rate_hz is {sample_rate_hz}: expected {low:g} to {high:g} Hz"
+            )
         if not abs(if_hz) <= sample_rate_hz / 2.0:
-            raise ValueError(f"if_hz is {if_hz}: expected at most half of {sample_rate_hz:g} Hz")
-        if sigma is not None and not (math.isfinite(sigma) and sigma > 0.0):
-            raise ValueError(f"sigma is {sigma}: expected a positive standard deviation")
+            raise ValueError(
+                f"{where}if_hz is {if_hz}: expected at most half of {sample_rate_hz:g} Hz"
+            )
+        if sigma is not None and not 0.0 < sigma <= float(np.finfo(np.float32).max):
+            raise ValueError(f"{where}sigma is {sigma}: expected a positive standard deviation")
+        if not 0 <= first_sample < _LAST_SAMPLE:
+            raise ValueError(f"{where}first_sample is {first_sample}: expected 0 to 2^53")
         self.sample_rate_hz, self.if_hz = float(sample_rate_hz), float(if_hz)
         if isinstance(source, np.ndarray):
-            self._name = "the recording"
+            self.name = "the recording"
             self.format = _format_of(source)
             self._stored, n = source.reshape(-1), len(source)
         else:
-            self._name = str(source)
+            self.name = str(source)
             self.format = file_format(sample_format)
             self._stored, n = _map_file(Path(source), self.format, n_samples)
         if self.format.real and (swap_iq or conjugate):
-            raise ValueError("swap_iq, conjugate: real samples have no Q to swap or negate")
+            raise ValueError(f"{where}swap_iq, conjugate: real samples have no Q to swap or negate")
         self._swap, self._conjugate = swap_iq, conjugate
         self.first_sample, self.end_sample = first_sample, first_sample + n
         # int16 as float32: one set of compiled correlators fewer
@@ -116,7 +126,7 @@ class Recording:
 
     def samples(self, n0: int, n1: int) -> np.ndarray:
         """Samples n0 <= n < n1 as (n1 - n0, 2): I, Q.  Maybe a view, not to be written to."""
-        check_range(n0, n1, self.first_sample, self.end_sample, self._name)
+        check_range(n0, n1, self.first_sample, self.end_sample, self.name)
         if self._pairs is not None:
             return self._pairs[n0 - self.first_sample : n1 - self.first_sample]
         values = self._values(n0 - self.first_sample, n1 - self.first_sample)
@@ -166,8 +176,11 @@ def measured_sigma(recording: Recording) -> float:
         total += x.sum(axis=0)
         square += float(np.vdot(x, x))
     power = square / count - float(np.sum((total / count) ** 2))
-    if not power > 0.0:
-        raise ValueError("samples are all equal or not finite: no sigma can be measured")
+    if not 0.0 < power < math.inf:
+        raise ValueError(
+            f"{recording.name}: samples are all equal or not finite, expected some of which a "
+            "sigma can be measured"
+        )
     return math.sqrt(power / 2.0)
 
 

@@ -147,6 +147,8 @@ def open_recording(
     ValueError : a file that is missing, truncated or of another kind, or not described enough.
     """
     path = Path(path)
+    if path.is_dir():
+        raise ValueError(f"{path}: a folder, expected a SigMF recording or a file of raw samples")
     try:
         described = _description_of(path)
         data, said = (path, {}) if described is None else _facts(described)
@@ -215,25 +217,35 @@ def _facts(path: Path) -> tuple[Path, dict[str, Any]]:
             f"{path}: no usable {error}, expected SigMF metadata with core:sample_rate"
         ) from None
     if tree.get("mark") == SIDE_CAR:
-        name, data = str(tree.get("format")), path.with_suffix(".bin")
+        name, data = str(tree.get("format")), path.with_suffix(".bin").name
     else:
         name = _format_name(path, str(head.get("core:datatype")))
-        data = path.with_name(head.get("core:dataset") or path.stem + ".sigmf-data")
+        data = head.get("core:dataset") or f"{path.stem}.sigmf-data"
     if head.get("core:num_channels", 1) != 1:
         raise ValueError(f"{path}: core:num_channels is not 1, expected one stream of samples")
     if any(c.get("core:header_bytes") for c in captures):
         raise ValueError(f"{path}: core:header_bytes given, expected samples from byte 0")
+    if Path(data).name != data:
+        raise ValueError(f"{path}: core:dataset is {data!r}, expected the name of a file beside it")
+    n_samples, first = head.get(_OWN + "n_samples"), head.get("core:offset", 0)
+    for key, value in ((_OWN + "n_samples", n_samples), ("core:offset", first)):
+        if value is not None and not (type(value) is int and value >= 0):
+            raise ValueError(f"{path}: {key} is {value!r}, expected a whole number, 0 or more")
+    numbers = [(k, head.get(k)) for k in ("core:sample_rate", _OWN + "sigma", _OWN + "if_hz")]
+    for key, value in (*numbers, *(("core:frequency", c.get("core:frequency")) for c in captures)):
+        if value is not None and type(value) not in (int, float):
+            raise ValueError(f"{path}: {key} is {value!r}, expected a number")
     centres = {c.get("core:frequency") for c in captures}
     if len(centres) > 1:
         raise ValueError(f"{path}: core:frequency changes on the way, expected one centre")
-    return data, {
+    return path.with_name(data), {
         "format": name,
         "sample_rate_hz": rate,
         "centre_hz": centres.pop(),
         "if_hz": head.get(_OWN + "if_hz"),
         "sigma": head.get(_OWN + "sigma"),
-        "n_samples": head.get(_OWN + "n_samples"),
-        "first_sample": int(head.get("core:offset", 0)),
+        "n_samples": n_samples,
+        "first_sample": first or 0,
     }
 
 

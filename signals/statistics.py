@@ -18,8 +18,15 @@ def summary(recording: Recording) -> dict[str, Any]:
     Mean (I and Q, or one number), r.m.s. and levels are those of at most 2^20 samples, spread
     evenly.  ``levels`` is the share of each value where there are up to 16, else of 16 equal
     intervals, "low to high".
+
+    Raises
+    ------
+    ValueError : values that are NaN or inf.
     """
     values = np.concatenate([v.astype(np.float64) for v in recording.spread()])
+    if not np.isfinite(values).all():
+        wrong = values[~np.isfinite(values)][0]
+        raise ValueError(f"{recording.name}: a sample is {wrong}, expected finite values")
     levels, counts = np.unique(values, return_counts=True)
     names = [f"{level:g}" for level in levels]
     if len(levels) > _FEW:

@@ -24,6 +24,9 @@ from signals.elementary_double import cos_sin, normal_pair
 from signals.noise import philox, stream_key
 from signals.replica import Replicas
 
+_LARGEST = 1e9
+"""Most chips, cycles, Hz or s in size: beyond, a double has no 1e-7 chip or cycle left"""
+_HIGHEST_DBHZ = 300.0
 _BLOCK = 256
 """Integrations at a time: what a block needs stays in the first-level cache"""
 
@@ -51,7 +54,7 @@ def taps_from_errors(
         Errors, true minus replica; the phase is that at the middle.  They broadcast together, and
         with all that follows.
     cn0_dbhz, duration_s
-        C/N0 [dB-Hz] and length of the integrations [s].
+        C/N0 [dB-Hz], at most 300, and length of the integrations [s].
     chips : (1, length) int8 of +-1, `replicas` or `correlations` of one signal
     offset_chips : (n_tap,)
         Delay of each replica: negative is early, positive is late.
@@ -66,15 +69,17 @@ def taps_from_errors(
     Raises
     ------
     ValueError
-        Errors that are not finite, durations that are not positive, more than one signal, keys out
-        of range, an ``out`` that does not fit.
+        Errors that are not finite or beyond 1e9 in size, durations that are not positive, more
+        than one signal, keys out of range, an ``out`` that does not fit.
     """
     own = correlations_of(chips)
     if len(own.first) != 1:
         raise ValueError(f"chips of {len(own.first)} signals: expected one")
     offset = np.ascontiguousarray(offset_chips, dtype=np.float64)
-    if offset.ndim != 1 or not np.isfinite(offset).all():
-        raise ValueError(f"offset_chips is {offset_chips!r}: expected finite (n_tap,)")
+    if offset.ndim != 1 or not np.all(np.abs(offset) <= _LARGEST):
+        raise ValueError(
+            f"offset_chips is {offset_chips!r}: expected (n_tap,) of at most {_LARGEST:g} in size"
+        )
     given = [np.asarray(x, np.float64) for x in (delay_chips, phase_cycles, freq_hz, duration_s)]
     cn0 = np.asarray(cn0_dbhz, np.float64)
     keys = [np.asarray(channel), np.asarray(0 if number is None else number)]
@@ -82,12 +87,15 @@ def taps_from_errors(
     for name, x in zip(
         ("delay_chips", "phase_cycles", "freq_hz", "duration_s"), given, strict=True
     ):
-        if not np.isfinite(x).all():
-            raise ValueError(
-                f"{name} contains {x[~np.isfinite(x)].flat[0]}: expected finite numbers"
-            )
-    if not np.all(given[3] > 0.0) or not np.isfinite(cn0).all():
-        raise ValueError("duration_s and cn0_dbhz: expected positive and finite numbers")
+        far = ~(np.abs(x) <= _LARGEST) | (x <= 0.0 if name == "duration_s" else False)
+        if far.any():
+            kind = "positive numbers up to" if name == "duration_s" else "numbers of at most"
+            raise ValueError(f"{name} contains {x[far].flat[0]}: expected {kind} {_LARGEST:g}")
+    wrong = ~(np.isfinite(cn0) & (cn0 <= _HIGHEST_DBHZ))
+    if wrong.any():
+        raise ValueError(
+            f"cn0_dbhz contains {cn0[wrong].flat[0]}: expected up to {_HIGHEST_DBHZ:g} dB-Hz"
+        )
     for name, x, end in (("channel", keys[0], 2**16), ("number", keys[1], 2**63)):
         if x.dtype.kind not in "iu" or (x.size and not 0 <= int(x.min()) <= int(x.max()) < end):
             raise ValueError(f"{name}: expected whole numbers from 0 to {end - 1}")
@@ -106,7 +114,7 @@ def taps_from_errors(
         *reals, named, numbered, own.table, float(own.period[0]), float(own.per_chip[0]),
         math.sqrt(own.kept[0]), offset, tap_factor(own, 0, offset), int(key[0]), int(key[1]),
         seed is not None, np.empty((11 + 4 * ((offset.size + 1) // 2), _BLOCK)),
-        np.empty((6, _BLOCK), np.uint64), result.view(np.float64).reshape(n, -1),
+        np.empty((6, _BLOCK), np.uint64), result.view(np.float64).reshape(n, 2 * offset.size),
     )  # fmt: skip
     return result
 

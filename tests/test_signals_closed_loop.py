@@ -70,6 +70,7 @@ def test_a_pilot_needs_no_data_bits_and_is_tracked(signals, changes, limit_m):
     assert not any(run.summary["lost_lock_s"].values())
     assert [e.kind for e in run.events] == ["hand-over"]
     assert {name.partition(":")[2] for name in run["channel"]} == set(signals)
+    assert len(run["channel"]) == len(signals) * run.summary["n_satellites"]
     assert run.summary["position_rms_end_m"] < limit_m
     assert run.summary["velocity_rms_mps"]["end"] < 0.01
     late = run.t_s > 5.0

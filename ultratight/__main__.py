@@ -250,9 +250,9 @@ def _refuse_meaningless(chosen: Scenario, **options: str | None) -> None:
 
 
 def _fly(chosen: Scenario, seed: int, quiet: bool) -> Run:
-    from ultratight.simulation import run as simulate
-
     with progress(f"flying {chosen.name}", quiet) as report:
+        from ultratight.simulation import run as simulate  # inside: it may warn
+
         return simulate(chosen, seed, progress=report)
 
 

@@ -99,9 +99,23 @@ def info(
     if as_json:
         print(json.dumps(told))
         return
-    for key, value in told.items():
-        if key == "levels":
-            for level, share in value.items():
-                print(f"{'level ' + level:20} {share:.4f}")
-        else:
-            print(f"{key:20} {value}")
+    for key, (name, unit) in _INFO.items():
+        values = told[key] if isinstance(told[key], list) else [told[key]]
+        numbers = ", ".join(f"{v:.10g}" if isinstance(v, float) else str(v) for v in values)
+        print(f"{name:20} {numbers} {unit}".rstrip())
+    for level, share in told["levels"].items():
+        print(f"{'level ' + level:20} {share:.4f} of the values")
+
+
+_INFO = {
+    "format": ("format", ""),
+    "rate_hz": ("rate", "Hz"),
+    "if_hz": ("IF", "Hz"),
+    "n_samples": ("length", "samples"),
+    "duration_s": ("duration", "s"),
+    "sigma": ("noise sigma", "in units of the file, of each of I and Q"),
+    "mean": ("mean", "in units of the file"),
+    "rms": ("r.m.s. about it", "in units of the file"),
+    "measured_samples": ("measured on", "samples"),
+}
+"""Name and unit of each line of `info`"""

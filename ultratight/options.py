@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import signal
 import sys
 import threading
@@ -70,7 +71,12 @@ def interruptible() -> Iterator[None]:
 def progress(what: str, quiet: bool) -> Iterator[Callable[[float], None] | None]:
     """A bar on a terminal, a line per tenth when piped, nothing when quiet; on stderr."""
     if quiet:
-        yield None
+        before = logging.root.manager.disable
+        logging.disable(logging.WARNING)
+        try:
+            yield None
+        finally:
+            logging.disable(before)
     elif sys.stderr.isatty():
         from rich.console import Console
         from rich.progress import Progress

@@ -26,13 +26,13 @@ def report(flown: Run) -> list[str]:
     lost = ", ".join(f"{k} at {v:g} s" for k, v in s["lost_lock_s"].items() if v is not None)
     rows = {
         "receiver": ", ".join(str(x) for x in how if x),
-        "sky": f"{s['n_satellites']} satellites, seed {s['seed']}",
+        "sky": f"{_sky(s)}, seed {s['seed']}",
         "velocity r.m.s. m/s": velocity,
         "  windows": _windows(flown.scenario),
         "position r.m.s. end": number(s["position_rms_end_m"], " m"),
         "NEES/3 of velocity": f"{number(s['nees_velocity'])} (median in the jump; consistent: 0.8)",
         "NIS/m": f"{number(s['nis_per_measurement'])} (mean outside the jump; consistent: 1)",
-        "converged": "yes" if s["converged"] else "no",
+        "converged": ("yes" if s["converged"] else "no") + _divergence(flown),
         "lost lock": f"{lost or 'never'} (fall-backs: {s['fall_backs']})",
         "time": f"{s['duration_s']:g} s in {s['wall_s']:g} s "
         f"({number(s['realtime_factor'])} x real time, {s['cpu_path']})",
@@ -42,6 +42,18 @@ def report(flown: Run) -> list[str]:
     for name, text in rows.items():
         lines += _wrapped(f"{name:21}{text}", 21)
     return lines
+
+
+def _sky(summary: dict[str, Any]) -> str:
+    n, n_channel = summary["n_satellites"], len(summary["lost_lock_s"])
+    return f"{n} satellites" if n_channel == n else f"{n} satellites in {n_channel} channels"
+
+
+def _divergence(flown: Run) -> str:
+    for event in flown.events:
+        if event.kind == "diverged":
+            return f"; the filter diverged at {event.t_s:g} s and was stopped: {event.reason}"
+    return ""
 
 
 def _wrapped(text: str, indent: int) -> list[str]:

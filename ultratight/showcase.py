@@ -128,7 +128,7 @@ def _print_table(
         lost = sum(t is not None for t in s["lost_lock_s"].values())
         table.add_row(
             cause, name, *velocity, f"{s['position_rms_end_m']:.2f}",
-            f"{lost}/{s['n_satellites']}", "yes" if s["converged"] else "no",
+            f"{lost}/{len(s['lost_lock_s'])}", "yes" if s["converged"] else "no",
             f"{s['realtime_factor']:.1f}",
         )  # fmt: skip
     console.print(table)

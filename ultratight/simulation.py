@@ -215,7 +215,7 @@ def _summary(
         "correlator": scenario.correlator.kind,
         "seed": run_.seed,
         "duration_s": scenario.duration_s,
-        "n_satellites": len(world.names),
+        "n_satellites": len({name.partition(":")[0] for name in world.names}),
         "lost_lock_s": lost,
         "fall_backs": sum(e.kind == "fall-back" for e in run_.events),
         **metrics.summarise(run_, jump_window(scenario)),

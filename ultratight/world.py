@@ -7,6 +7,7 @@ source has its own named stream, so that switching one off changes no other.
 
 from __future__ import annotations
 
+import logging
 from functools import cached_property
 
 import numpy as np
@@ -41,6 +42,9 @@ NODE_S = 0.005
 """Spacing of the nodes of the truth [s]"""
 N_NODE_PAST = 4
 FEWEST_SATELLITES = 4
+USUAL_SATELLITES = 7
+"""Fewer above the mask are worth a warning: somewhere else than where the ephemerides are from"""
+_log = logging.getLogger(__name__)
 
 
 class World:
@@ -103,8 +107,15 @@ class World:
             keep &= np.isin(prn, s.prns)
         order = np.argsort(-elevation, kind="stable")
         chosen = np.sort([i for i in order if keep[i]][: s.max_satellites])
+        risen = int((elevation >= s.mask_deg).sum())
         if len(chosen) < FEWEST_SATELLITES:
-            raise InvalidInput(self._too_few(len(chosen), int((elevation >= s.mask_deg).sum())))
+            raise InvalidInput(self._too_few(len(chosen), risen))
+        if s.constellation == "embedded" and risen < USUAL_SATELLITES:
+            _log.warning(
+                "constellation: %d satellites of the embedded sky above the mask; it holds those "
+                "that were seen from East Asia%s",
+                risen, sky.other_sky(s),
+            )  # fmt: skip
         self._name_channels(prn[chosen], rows[chosen])
 
     def _name_channels(self, prn: np.ndarray, rows: np.ndarray) -> None:

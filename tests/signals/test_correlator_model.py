@@ -300,6 +300,9 @@ def test_refusals(truth: Truth, command: Command) -> None:
     short = state._replace(symbols=np.ones((1, 2), np.int8))
     with pytest.raises(ValueError, match="symbols -1 to 0 do not cover"):
         ModelCorrelator(short, chips, np.array([7]), OFFSETS, 1)
+    far = state._replace(code_phase_chips=np.full_like(state.code_phase_chips, 1e300))
+    with pytest.raises(ValueError, match=r"state.code_phase_chips contains 1e\+300"):
+        ModelCorrelator(far, chips, np.array([7]), OFFSETS, 1)
     model = correlator(state, [7])
     with pytest.raises(ValueError, match="inside the truth"):
         model(command([0.05, 0.11]))
@@ -314,5 +317,10 @@ def test_refusals(truth: Truth, command: Command) -> None:
     spoilt.carrier_phase_cycles[0, 0] = np.nan
     with pytest.raises(ValueError, match="carrier_phase_cycles of a valid channel is nan"):
         model(spoilt)
+    for name, value in (("code_phase_chips", 1e17), ("carrier_freq_hz", -1e300)):
+        absurd = command([0.0, 0.01])
+        getattr(absurd, name)[0, 0] = value
+        with pytest.raises(ValueError, match=f"{name} of a valid channel is -?1e"):
+            model(absurd)
     spoilt.valid[0] = False
     assert len(model(spoilt).number) == 0

@@ -183,6 +183,8 @@ def test_a_stated_length_is_checked(tmp_path: Path) -> None:
         ({"if_hz": 2.1e6}, "if_hz is 2100000"),
         ({"if_hz": float("inf")}, "if_hz is inf"),
         ({"sigma": -1.0}, "sigma is -1"),
+        ({"sigma": 1e300}, r"sigma is 1e\+300"),
+        ({"first_sample": -5}, "first_sample is -5"),
     ],
 )
 def test_numbers_that_mean_nothing(change: dict[str, float], expected: str) -> None:

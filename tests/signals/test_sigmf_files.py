@@ -121,6 +121,17 @@ BAD = {
     "a list": ("[]", "expected SigMF metadata with core:sample_rate"),
     "unsigned": (json.dumps(foreign(datatype="cu8")), 'core:datatype "cu8", expected one of ci8'),
     "big endian": (json.dumps(foreign(datatype="ci16_be")), 'core:datatype "ci16_be", expected'),
+    "a rate in words": (
+        json.dumps(foreign(sample_rate="4e6")),
+        "core:sample_rate is '4e6', expect",
+    ),
+    "a centre in words": (
+        json.dumps(foreign(frequency="L1")),
+        "core:frequency is 'L1', expected a",
+    ),
+    "before the start": (json.dumps(foreign(offset=-5)), "core:offset is -5, expected a whole num"),
+    "half a sample": (json.dumps(foreign(offset=0.5)), "core:offset is 0.5, expected a whole num"),
+    "elsewhere": (json.dumps(foreign(dataset="../x")), "core:dataset is '../x', expected the name"),
     "two streams": (json.dumps(foreign(num_channels=2)), "core:num_channels is not 1"),
     "headers": (json.dumps(foreign(header_bytes=16)), "core:header_bytes given"),
     "no centre": (json.dumps(foreign(frequency=None)), "no core:frequency"),
@@ -184,3 +195,18 @@ def test_metadata_of_the_wrong_shape_are_one_line(tmp_path: Path, key: str, valu
     with pytest.raises(ValueError, match="x") as error:
         open_recording(tmp_path / "x")
     assert "\n" not in str(error.value)
+
+
+def test_a_rate_that_no_receiver_has_is_refused_with_the_name_of_the_file(tmp_path: Path) -> None:
+    for rate in (1e300, float("nan"), 1e-300):
+        with pytest.raises(
+            ValueError, match=r"sky.sigmf-data: sample_rate_hz is .* 1 to 1e\+12 Hz"
+        ):
+            opened(tmp_path, json.dumps(foreign(sample_rate=rate, frequency=GPS_L1_HZ)))
+
+
+def test_a_folder_is_no_recording(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="a folder, expected a SigMF recording"):
+        open_recording(tmp_path)
+    with pytest.raises(ValueError, match=r"\.: a folder"):
+        open_recording(".")

@@ -86,7 +86,16 @@ def test_bad_input_is_refused():
             "duration_s": 0.001, "chips": CHIPS, "offset_chips": [0.0]}  # fmt: skip
     for change, text in (
         ({"delay_chips": [0.0, np.nan]}, "delay_chips contains nan"),
-        ({"duration_s": 0.0}, "duration_s and cn0_dbhz: expected positive"),
+        (
+            {"delay_chips": 1e300},
+            r"delay_chips contains 1e\+300: expected numbers of at most 1e\+09",
+        ),
+        ({"freq_hz": -1e200}, "freq_hz contains -1e"),
+        ({"duration_s": 0.0}, "duration_s contains 0.0: expected positive numbers"),
+        ({"duration_s": 1e308}, r"duration_s contains 1e\+308"),
+        ({"cn0_dbhz": 3100.0}, "cn0_dbhz contains 3100.0: expected up to 300 dB-Hz"),
+        ({"cn0_dbhz": np.nan}, "cn0_dbhz contains nan"),
+        ({"chips": np.zeros_like(CHIPS)}, "replica 0 has no power"),
         ({"chips": np.repeat(CHIPS, 2, axis=0)}, "chips of 2 signals: expected one"),
         ({"channel": 70_000}, "channel: expected whole numbers from 0 to 65535"),
         ({"number": [-1]}, "number: expected whole numbers"),
@@ -99,3 +108,17 @@ def test_bad_input_is_refused():
             continue
         with pytest.raises(ValueError, match=text):
             taps_from_errors(**(good | change))
+
+
+def test_nothing_in_nothing_out() -> None:
+    for seed in (None, 1):
+        taps = taps_from_errors(
+            np.zeros((0, 5)), 0.0, 0.0, 45.0, 0.001, CHIPS, [-0.5, 0.0], seed=seed
+        )
+        assert taps.shape == (0, 5, 2)
+    assert taps_from_errors([0.0, 0.1], 0.0, 0.0, 45.0, 0.001, CHIPS, []).shape == (2, 0)
+
+
+def test_a_signal_far_below_the_noise_is_nothing() -> None:
+    """-1e4 dB-Hz: the amplitude is below the smallest double."""
+    assert not taps_from_errors(0.0, 0.0, 0.0, -1e4, 0.001, CHIPS, [0.0]).any()
