@@ -172,6 +172,17 @@ def test_twenty_states_find_the_scale_factor():
     assert abs(np.sum(share)) < 3.3 * np.sqrt(5.0)
 
 
+def test_closed_form_moments_fly_as_343_points_do():
+    """Phase s.d. below 0.1 rad: both are exact, but for the kink of R (1e-4 of the amplitude)."""
+    by_points, closed = (flown("jump-1", name, 1) for name in ("fiqkf-r", "fiqkf-r-cf"))
+    a, b = by_points.summary["velocity_rms_mps"], closed.summary["velocity_rms_mps"]
+    for window in ("before", "jump", "after"):
+        assert b[window] == pytest.approx(a[window], rel=0.02), window
+    assert closed.summary["nis_per_measurement"] == pytest.approx(
+        by_points.summary["nis_per_measurement"], rel=0.01
+    )
+
+
 def test_states_may_be_asked_for_by_the_scenario():
     """The same bits as the row; a coherent 20-state receiver can also be told to have 17."""
     by_row = flown("jump-1", "qkf-20", **SHORT)

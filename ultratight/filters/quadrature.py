@@ -32,6 +32,19 @@ def hermite_nodes(m: int) -> tuple[np.ndarray, np.ndarray]:
     return x, w / w.sum()
 
 
+def gauss_rule(x: np.ndarray, w: np.ndarray, m: int) -> tuple[np.ndarray, np.ndarray]:
+    """Gauss rule of m points for the measure that has weights w at the points x (Stieltjes)."""
+    alpha, beta = np.zeros(m), np.zeros(m)
+    before, now = np.zeros_like(x), np.ones_like(x) / np.sqrt(w.sum())
+    for i in range(m):
+        alpha[i] = w @ (x * now**2)
+        after = (x - alpha[i]) * now - (beta[i - 1] * before if i else 0.0)
+        beta[i] = np.sqrt(w @ after**2)
+        before, now = now, after / beta[i]
+    node, vector = np.linalg.eigh(np.diag(alpha) + np.diag(beta[:-1], 1) + np.diag(beta[:-1], -1))
+    return node, vector[0] ** 2 * w.sum()
+
+
 def gauss_hermite(orders: int | tuple[int, ...], d: int) -> tuple[np.ndarray, np.ndarray]:
     """Tensor Gauss-Hermite rule in d dimensions; ``orders`` per dimension or one for all.
 

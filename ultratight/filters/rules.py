@@ -15,7 +15,7 @@ term H_i P H_j'.  "full": points in R^n, cross-block covariance included in Omeg
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
@@ -50,6 +50,7 @@ class Rule:
     space: Literal["jacobian", "projected", "full"]
     points: PointFunction | None
     source: str
+    closed_form: bool = False  # a model with moments in closed form is to use them, not the points
 
     def linearise(self, density: Gaussian, measurement: Measurement) -> Linearisation:
         """SLR of the measurement at a density: one compiled step before and one after ``h``."""
@@ -77,11 +78,14 @@ class Rule:
         return Linearisation(*_regress_full(root, table, Z))
 
     def table(self, d: int) -> tuple[np.ndarray, int]:
-        """`UnitPoints` table and inner in d dimensions; a rule without points has no columns."""
+        """`UnitPoints` table and inner in d dimensions; a rule without points has no columns.
+
+        inner < 0 asks a compiled model for its closed form, where it has one for that d.
+        """
         if self.points is None:
             return np.empty((d + 1, 0)), 1
         points = unit_points(self.points, d)
-        return points.table, points.inner
+        return points.table, -points.inner if self.closed_form else points.inner
 
     @property
     def block_diagonal(self) -> bool:
@@ -102,6 +106,7 @@ _ROWS = (
     _hermite_rule("gh5", 5),
     _hermite_rule("gh7", 7),
     _hermite_rule("gh3x7x3", (3, 7, 3)),
+    replace(_hermite_rule("gh7", 7), name="closed-form", closed_form=True),
     Rule("cubature", "full", cubature, f"third-degree cubature in R^n: {_CKF}"),
     Rule("unscented", "full", unscented, f"unscented in R^n: {_UKF}"),
     Rule("cubature-projected", "projected", cubature, f"cubature in the projected space: {_CKF}"),
@@ -110,7 +115,9 @@ _ROWS = (
 RULES = {rule.name: rule for rule in _ROWS}
 """Name -> rule.  gh7 unless there is a reason: gh3 fails above a phase s.d. of 0.7 rad.
 
-gh3x7x3 is for d = 3 in the order range, phase, rate: 63 points in place of 343."""
+gh3x7x3 is for d = 3 in the order range, phase, rate: 63 points in place of 343.  closed-form is
+gh7 but for the coherent tap model, whose mean over phase and rate is exact
+(`ultratight.tracking.closed_form`)."""
 
 
 def get_rule(name: str) -> Rule:

@@ -20,6 +20,7 @@ from signals.eight import (
 )
 from ultratight.filters.conditioning import condition_on, dot, rows_times, widen
 from ultratight.filters.rules import psd_cholesky, solve_slope
+from ultratight.tracking.closed_form import ROOM, regress_closed
 from ultratight.tracking.code_model import (
     HALF,
     TABLE,
@@ -79,12 +80,13 @@ def _condition(
     P1: np.ndarray,
 ) -> float:
     nb, d, n = A.shape
+    closed, inner = inner < 0 and d == 3, abs(inner)
     zbar, small = np.empty((nb, 3)), np.empty((7, d))
     outer = table.shape[1] // inner
     room, points = np.empty((n + 1 + 2 * d, padded(n))), np.empty((d + inner, padded(outer)))
-    shares = np.empty(inner + 6 * WIDTH)
+    shares = np.empty(inner + max(6 * WIDTH, ROOM))
     _linearise(
-        params, lin_mean, lin_cov, A, table, room, points, shares, small, zbar, H, noise
+        params, lin_mean, lin_cov, A, table, closed, room, points, shares, small, zbar, H, noise
     )  # fmt: skip
     return condition_on(mean, cov, lin_mean, zbar.reshape(-1), H, z, R, nu, noise, m1, P1)
 
@@ -96,6 +98,7 @@ def _linearise(
     cov: np.ndarray,
     A: np.ndarray,
     table: np.ndarray,
+    closed: bool,
     room: np.ndarray,
     points: np.ndarray,
     shares: np.ndarray,
@@ -116,7 +119,8 @@ def _linearise(
     spare = shares[inner:]
     widen(cov, P)
     widen(mean.reshape((1, n)), x)
-    _arrange(table, inner, d, points, shares)
+    if not closed:
+        _arrange(table, inner, d, points, shares)
     for b in range(nb):
         widen(A[b], rows)
         for j in range(d):
@@ -131,7 +135,10 @@ def _linearise(
                 for i in range(j + 1):
                     L[j, i] = dot(AP, j, rows, i)
             psd_cholesky(L, L)
-            _regress(y, L, points, shares, spare, params[b], zbar[b], G, Omega[b])
+            if closed:
+                regress_closed(y, L, params[b], spare, zbar[b], G, Omega[b])
+            else:
+                _regress(y, L, points, shares, spare, params[b], zbar[b], G, Omega[b])
         for q in range(3):
             for v in range(0, w, WIDTH):
                 row = G[q, 0] * load(rows, v)
