@@ -55,15 +55,8 @@ _BEND = np.float32(30.0)  # [2^-32 cycles]: 5e-5 cycles in the middle
 
 @kernel
 def exercise_16(
-    narrow: Any,
-    wide: Any,
-    table: Any,
-    line: Any,
-    code: Any,
-    planes: Any,
-    sums: Any,
-    turns: Any,
-) -> None:
+    narrow: Any, wide: Any, table: Any, line: Any, code: Any, planes: Any, sums: Any, turns: Any
+) -> None:  # fmt: skip
     """Every kernel of 16 lanes once: planes (6, n) int8 I, Q, float32 I, Q, wiped; sums (2, 12)."""
     kernels.planar_16(narrow, 0, _SAMPLES, planes[0], planes[1])
     kernels.planar_16(wide, 0, _SAMPLES, planes[2], planes[3])
@@ -79,15 +72,8 @@ def exercise_16(
 
 @kernel
 def exercise_8(
-    narrow: Any,
-    wide: Any,
-    table: Any,
-    line: Any,
-    code: Any,
-    planes: Any,
-    sums: Any,
-    turns: Any,
-) -> None:
+    narrow: Any, wide: Any, table: Any, line: Any, code: Any, planes: Any, sums: Any, turns: Any
+) -> None:  # fmt: skip
     """Every kernel of 8 lanes once."""
     kernels.planar_8(narrow, 0, _SAMPLES, planes[0], planes[1])
     kernels.planar_8(wide, 0, _SAMPLES, planes[2], planes[3])
@@ -103,15 +89,8 @@ def exercise_8(
 
 @kernel
 def exercise_plain(
-    narrow: Any,
-    wide: Any,
-    table: Any,
-    line: Any,
-    code: Any,
-    planes: Any,
-    sums: Any,
-    turns: Any,
-) -> None:
+    narrow: Any, wide: Any, table: Any, line: Any, code: Any, planes: Any, sums: Any, turns: Any
+) -> None:  # fmt: skip
     """Every twin once."""
     kernels.planar_plain(narrow, _SAMPLES, planes[0], planes[1])
     kernels.planar_plain(wide, _SAMPLES, planes[2], planes[3])

@@ -338,63 +338,31 @@ def planar_8(typingctx: Any, block: Any, first: Any, n: Any, i: Any, q: Any) -> 
 
 @intrinsic
 def wipe_16(
-    typingctx: Any,
-    i: Any,
-    q: Any,
-    n: Any,
-    base: Any,
-    step: Any,
-    bend: Any,
-    wi: Any,
-    wq: Any,
-    turns: Any,
-) -> Any:
+    typingctx: Any, i: Any, q: Any, n: Any, base: Any,
+    step: Any, bend: Any, wi: Any, wq: Any, turns: Any,
+) -> Any:  # fmt: skip
     return _wipe(16, i)
 
 
 @intrinsic
 def wipe_8(
-    typingctx: Any,
-    i: Any,
-    q: Any,
-    n: Any,
-    base: Any,
-    step: Any,
-    bend: Any,
-    wi: Any,
-    wq: Any,
-    turns: Any,
-) -> Any:
+    typingctx: Any, i: Any, q: Any, n: Any, base: Any,
+    step: Any, bend: Any, wi: Any, wq: Any, turns: Any,
+) -> Any:  # fmt: skip
     return _wipe(8, i)
 
 
 @intrinsic
 def add_16(
-    typingctx: Any,
-    wi: Any,
-    wq: Any,
-    a: Any,
-    b: Any,
-    table: Any,
-    origin: Any,
-    phases: Any,
-    step: Any,
-    turns: Any,
-) -> Any:
+    typingctx: Any, wi: Any, wq: Any, a: Any, b: Any,
+    table: Any, origin: Any, phases: Any, step: Any, turns: Any,
+) -> Any:  # fmt: skip
     return _add(16, wi, table, phases)
 
 
 @intrinsic
 def add_8(
-    typingctx: Any,
-    wi: Any,
-    wq: Any,
-    a: Any,
-    b: Any,
-    table: Any,
-    origin: Any,
-    phases: Any,
-    step: Any,
-    turns: Any,
-) -> Any:
+    typingctx: Any, wi: Any, wq: Any, a: Any, b: Any,
+    table: Any, origin: Any, phases: Any, step: Any, turns: Any,
+) -> Any:  # fmt: skip
     return _add(8, wi, table, phases)

@@ -52,20 +52,11 @@ def loose(x):
 
 @borrowing(fastmath=FAST_SUM)
 def deflate(W, P):
-    k, n = W.shape
-    q = 0
-    while q + 3 <= k:
-        for a in range(n):
-            g0, g1, g2 = W[q, a], W[q + 1, a], W[q + 2, a]
-            for c in range(n):
-                P[a, c] -= g0 * W[q, c] + g1 * W[q + 1, c] + g2 * W[q + 2, c]
-        q += 3
-    while q < k:
-        for a in range(n):
-            g = W[q, a]
-            for c in range(n):
-                P[a, c] -= g * W[q, c]
-        q += 1
+    for q in range(0, W.shape[0], 3):
+        for a in range(P.shape[0]):
+            g, h, k = W[q, a], W[q + 1, a], W[q + 2, a]
+            for c in range(P.shape[1]):
+                P[a, c] -= g * W[q, c] + h * W[q + 1, c] + k * W[q + 2, c]
 
 
 @borrowing(fastmath=FAST_SUM)
@@ -73,7 +64,7 @@ def twice(W, P):
     for b in range(2):
         deflate(W[3 * b : 3 * b + 3], P)
 """
-"""A sum in order that a kernel with reordered sums calls; `conditioning._deflate` in a loop"""
+"""A sum in order that a kernel with reordered sums calls; a kernel that is no part of its caller"""
 
 
 @pytest.fixture
