@@ -1,5 +1,5 @@
 # Everything works from a fresh clone: Python 3.11 to 3.14, git and make are all that is needed.
-.PHONY: help run test bench campaign receivers lint format clean
+.PHONY: help run test bench campaign studies receivers lint format clean
 .DEFAULT_GOAL := help
 
 VENV := .venv
@@ -11,6 +11,7 @@ help:
 	@echo "make test      lint, types, layers and all tests"
 	@echo "make bench     speed beside targets, limits, plain code and peers (a few minutes)"
 	@echo "make campaign  the tests with many seeds (some twenty minutes)"
+	@echo "make studies   every study; ledger, page and figures in studies/ (over an hour)"
 	@echo "make receivers gnss-sdr and RTKLIB, where installed, navigate with our files (minutes)"
 	@echo "make lint      lint, types and layers only"
 	@echo "make format    format the sources"
@@ -61,6 +62,9 @@ bench: $(STAMP)
 
 campaign: $(STAMP)
 	@$(PY) -m pytest -m campaign
+
+studies: $(STAMP)
+	@$(PY) -m ultratight study --all --record
 
 receivers: $(STAMP)
 	@$(PY) -m pytest -m receiver -rs

@@ -54,7 +54,10 @@ def test_a_simulation_draws_nothing() -> None:
 
 def test_packages_do_not_print() -> None:
     """Only the command line and the showcase talk; everything else returns or logs."""
-    talkers = {"__main__.py", "if_commands.py", "sweep_commands.py", "options.py", "showcase.py"}
+    talkers = {
+        "__main__.py", "if_commands.py", "options.py", "showcase.py", "study.py",
+        "sweep_commands.py",
+    }  # fmt: skip
     silent = [
         path
         for package in ("signals", "ultratight")

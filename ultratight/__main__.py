@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ultratight import if_commands, sweep_commands
+from ultratight import study as studies
 from ultratight.options import (
     Closure,
     Correlator,
@@ -193,6 +194,7 @@ def _version(wanted: bool) -> None:
 app.command()(if_commands.generate)
 app.command()(if_commands.info)
 app.command()(sweep_commands.sweep)
+app.command()(studies.study)
 
 
 @app.callback()

@@ -1,0 +1,1 @@
+"""What the studies share: settings and sweeps, statistics, figures, the claim ledger."""
