@@ -27,10 +27,10 @@ from signals.compiled import borrowing, kernel
 from signals.constants import CA_CHIP_RATE_HZ
 from signals.correlations import Correlations, correlations_of, tap_factor
 from signals.error_integral import (
-    AMPLITUDE,
     SPREAD,
     TRUTH_COLUMNS,
     edge,
+    fill_truth,
     integrate,
     replica_at,
     truth_piece,
@@ -135,14 +135,14 @@ class ModelCorrelator:
 
     def _refusal(self, nco: Nco) -> str:
         """Say what is wrong with a command that the compiled step has refused."""
-        low, high = float(self._truth[0, 0, 0]), float(self._truth[0, -1, 1])
+        low, high = float(self._truth[0, 0, 0]), float(self._truth[-1, 0, 1])
         first_s, end_s = float(nco.t_s[0]), float(nco.t_s[-1])
         if not low - _TIME_TOLERANCE_S <= first_s <= end_s <= high + _TIME_TOLERANCE_S:
             return (
                 f"nco.t_s runs from {first_s} to {end_s} s: expected inside the truth, "
                 f"{low} to {high} s"
             )
-        n_channel = len(self._truth)
+        n_channel = self._truth.shape[1]
         shape = (nco.t_s.size - 1, n_channel)
         for array in nco[1:6]:
             if array.shape != shape:
@@ -196,18 +196,19 @@ def _check_symbols(state: SignalState, symbol_chips: np.ndarray) -> None:
 
 
 def _truth_table(state: SignalState, multiple_access: bool, kept: np.ndarray) -> np.ndarray:
-    """The truth as rows of `error_integral`: (n_channel, n_piece, TRUTH_COLUMNS)."""
+    """The truth as rows of `error_integral`: (n_piece, n_channel, TRUTH_COLUMNS)."""
     cn0_hz = np.where(state.valid, 10.0 ** (np.asarray(state.cn0_dbhz) / 10.0), 0.0)
-    table = np.empty((*state.valid.shape, TRUTH_COLUMNS))
-    table[..., 0] = state.t_s[:-1]
-    table[..., 1] = state.t_s[1:]
-    table[..., 2:6] = state.code_phase_chips
-    table[..., 6:10] = state.carrier_phase_cycles
-    table[..., AMPLITUDE] = np.sqrt(cn0_hz * kept[:, None])
-    table[..., SPREAD] = 1.0
+    spread = np.ones_like(cn0_hz)
     if multiple_access:
         others = cn0_hz.sum(axis=0) - cn0_hz
-        table[..., SPREAD] = np.sqrt(1.0 + others * 10.0 ** (SELF_SEPARATION_DB_PER_HZ / 10.0))
+        spread = np.sqrt(1.0 + others * 10.0 ** (SELF_SEPARATION_DB_PER_HZ / 10.0))
+    n_channel, n_piece = state.valid.shape
+    table = np.empty((n_piece, n_channel, TRUTH_COLUMNS))
+    fill_truth(
+        np.ascontiguousarray(state.t_s), np.ascontiguousarray(state.code_phase_chips),
+        np.ascontiguousarray(state.carrier_phase_cycles), np.sqrt(cn0_hz * kept[:, None]), spread,
+        table,
+    )  # fmt: skip
     return table
 
 
@@ -231,7 +232,7 @@ def _correlate(
     False first, and nothing done, where the command cannot be run.
     """
     nco = Nco(t_s, code, chip_rate, carrier, freq, freq_rate, dump_chips, valid)
-    n, n_tap = truth.shape[0], whole[0]
+    n, n_tap = truth.shape[1], whole[0]
     position = whole[5 : 5 + 4 * n].reshape((n, 4))
     facts = whole[5 + 4 * n :].reshape((6, n))
     sound, most = _most_dumps(nco, truth, facts[5])
@@ -285,9 +286,9 @@ def _all_channels(
 def _most_dumps(nco: Nco, truth: np.ndarray, period_chips: np.ndarray) -> tuple[bool, int]:
     """Can the command be run?  Bound on the integrations that can end."""
     t_s, code, chip_rate, carrier, freq, rate, dump_chips, valid = nco
-    n_piece, n = t_s.size - 1, truth.shape[0]
+    n_piece, n = t_s.size - 1, truth.shape[1]
     low = truth[0, 0, 0] - _TIME_TOLERANCE_S
-    high = truth[0, truth.shape[1] - 1, 1] + _TIME_TOLERANCE_S
+    high = truth[truth.shape[0] - 1, 0, 1] + _TIME_TOLERANCE_S
     fits = valid.size == n and dump_chips.size == n and low <= t_s[0] <= t_s[n_piece] <= high
     for array in (code, chip_rate, carrier, freq, rate):
         fits = fits and array.shape[0] == n_piece and array.shape[1] == n
@@ -382,7 +383,7 @@ def _finish(
             position[i, _DUMP], prn[i] << 16, draw,
         )  # fmt: skip
     gain = math.sqrt(2.0 / length)
-    spread = truth[i, truth_piece(truth, i, t), SPREAD]
+    spread = truth[truth_piece(truth, i, t), i, SPREAD]
     for k in range(iq.shape[1]):
         re, im = 0.0, 0.0
         for m in range(k + 1):

@@ -291,3 +291,35 @@ _of_two(greatest, ">")
 _of_one(size, "fabs")
 _of_one(floor, "floor")
 _of_one(root, "sqrt")
+
+
+@borrowing(fastmath={"contract"})
+def sin_cos(x: Any) -> tuple[Any, Any]:
+    """Sine and cosine of eight, without branches or tables.
+
+    x = k pi + r, |r| <= pi/2, and Taylor polynomials of r whose remainders are below 2e-17.  The
+    second part of pi needs the sums as they stand, hence no reassociation; |x| < 1e6.
+    """
+    k = floor(x * (1.0 / np.pi) + 0.5)
+    r = (x - k * np.pi) - k * 1.2246467991473532e-16
+    sign = 1.0 - 2.0 * (k - 2.0 * floor(0.5 * k))
+    q = r * r
+    u = q * (1.0 / 51090942171709440000.0) - 1.0 / 121645100408832000.0
+    u = u * q + 1.0 / 355687428096000.0
+    u = u * q - 1.0 / 1307674368000.0
+    u = u * q + 1.0 / 6227020800.0
+    u = u * q - 1.0 / 39916800.0
+    u = u * q + 1.0 / 362880.0
+    u = u * q - 1.0 / 5040.0
+    u = u * q + 1.0 / 120.0
+    u = u * q - 1.0 / 6.0
+    s = sign * (r + r * q * u)
+    u = q * (1.0 / 2432902008176640000.0) - 1.0 / 6402373705728000.0
+    u = u * q + 1.0 / 20922789888000.0
+    u = u * q - 1.0 / 87178291200.0
+    u = u * q + 1.0 / 479001600.0
+    u = u * q - 1.0 / 3628800.0
+    u = u * q + 1.0 / 40320.0
+    u = u * q - 1.0 / 720.0
+    u = u * q + 1.0 / 24.0
+    return s, sign * (1.0 - 0.5 * q + q * q * u)

@@ -16,16 +16,14 @@ from typing import Any
 import numpy as np
 
 from signals.compiled import FAST_SUM, borrowing
-from signals.elementary_double import cos_sin
+from signals.eight import fill, load, sin_cos, total
 from signals.front_end import GUARD_SAMPLES
 
 TRUTH_COLUMNS = 12
-_CODE, _CARRIER, AMPLITUDE, SPREAD = 2, 6, 10, 11
+CODE, CARRIER, AMPLITUDE, SPREAD = 2, 6, 10, 11
 
 _NODE, _WEIGHT = np.polynomial.legendre.leggauss(8)
 _MAX_CYCLES = 1.5  # per interval: the 8-point rule then errs by 1.3e-7
-_SHORT_NODE, _SHORT_WEIGHT = np.polynomial.legendre.leggauss(4)
-_SHORT_CYCLES = 0.2  # up to here the 4-point rule does, with 7e-9
 _KINK_CHIPS = 1e-9  # a kink this near to the end of an interval is at its end
 
 
@@ -48,14 +46,30 @@ def replica_at(line: Any, t: float) -> tuple[float, float]:
 
 
 @borrowing
+def fill_truth(
+    t_s: np.ndarray, code: np.ndarray, carrier: np.ndarray, gain: np.ndarray, spread: np.ndarray,
+    table: np.ndarray,
+) -> None:  # fmt: skip
+    """Rows of `TRUTH_COLUMNS`, of all channels piece by piece: an epoch reads a few pieces."""
+    for p in range(table.shape[0]):
+        for i in range(table.shape[1]):
+            row = table[p, i]
+            row[0], row[1] = t_s[p], t_s[p + 1]
+            for k in range(4):
+                row[CODE + k] = code[i, p, k]
+                row[CARRIER + k] = carrier[i, p, k]
+            row[AMPLITUDE], row[SPREAD] = gain[i, p], spread[i, p]
+
+
+@borrowing
 def truth_piece(truth: np.ndarray, i: int, t: float) -> int:
-    """Piece of the truth (n_channel, n_piece, TRUTH_COLUMNS) that holds t; nodes are uniform."""
-    last = truth.shape[1] - 1
-    p = int((t - truth[i, 0, 0]) / (truth[i, 0, 1] - truth[i, 0, 0]))
+    """Piece of the truth (n_piece, n_channel, TRUTH_COLUMNS) that holds t; nodes are uniform."""
+    last = truth.shape[0] - 1
+    p = int((t - truth[0, i, 0]) / (truth[0, i, 1] - truth[0, i, 0]))
     p = min(max(p, 0), last)
-    if p < last and t >= truth[i, p, 1]:
+    if p < last and t >= truth[p, i, 1]:
         p += 1
-    if p > 0 and t < truth[i, p, 0]:
+    if p > 0 and t < truth[p, i, 0]:
         p -= 1
     return p
 
@@ -72,18 +86,18 @@ def integrate(
     """
     symbols, first_symbol, symbol_chips = data
     p = truth_piece(truth, i, a)
-    last = truth.shape[1] - 1
+    last = truth.shape[0] - 1
     while a < b:
-        stop = min(b, truth[i, p, 1]) if p < last else b
-        if truth[i, p, AMPLITUDE] > 0.0:
-            at_stop = _cubic(truth, i, p, _CODE, stop)[0]
-            k = math.floor(_cubic(truth, i, p, _CODE, a)[0] / symbol_chips[i])
+        stop = min(b, truth[p, i, 1]) if p < last else b
+        if truth[p, i, AMPLITUDE] > 0.0:
+            at_stop = _cubic(truth, i, p, CODE, stop)[0]
+            k = math.floor(_cubic(truth, i, p, CODE, a)[0] / symbol_chips[i])
             while a < stop:
                 cut = stop
                 if at_stop > (k + 1) * symbol_chips[i]:
                     at = _time_of(truth, i, p, float((k + 1) * symbol_chips[i]))
                     cut = min(max(edge(at, sample_s), a), stop)
-                gain = truth[i, p, AMPLITUDE] * symbols[i, k - first_symbol]
+                gain = truth[p, i, AMPLITUDE] * symbols[i, k - first_symbol]
                 _between_symbols(i, a, cut, line, truth, p, gain, replicas, sums)
                 a = cut
                 k += 1
@@ -94,9 +108,9 @@ def integrate(
 @borrowing
 def _cubic(truth: np.ndarray, i: int, p: int, column: int, t: float) -> Any:
     """The cubic in s of code or carrier at t + s."""
-    h = t - truth[i, p, 0]
-    c0, c1 = truth[i, p, column], truth[i, p, column + 1]
-    c2, c3 = truth[i, p, column + 2], truth[i, p, column + 3]
+    h = t - truth[p, i, 0]
+    c0, c1 = truth[p, i, column], truth[p, i, column + 1]
+    c2, c3 = truth[p, i, column + 2], truth[p, i, column + 3]
     bend = c2 + 3.0 * h * c3
     return c0 + h * (c1 + h * (c2 + h * c3)), c1 + h * (c2 + bend), bend, c3
 
@@ -109,9 +123,9 @@ def _value(c: Any, s: float) -> float:
 @borrowing
 def _time_of(truth: np.ndarray, i: int, p: int, chips: float) -> float:
     """When the true code phase, almost straight, is ``chips``: Newton from the chord."""
-    t = truth[i, p, 0]
+    t = truth[p, i, 0]
     for _ in range(3):
-        code = _cubic(truth, i, p, _CODE, t)
+        code = _cubic(truth, i, p, CODE, t)
         t += (chips - code[0]) / code[1]
     return t
 
@@ -119,7 +133,7 @@ def _time_of(truth: np.ndarray, i: int, p: int, chips: float) -> float:
 @borrowing
 def _errors(truth: np.ndarray, i: int, p: int, line: Any, t: float) -> Any:
     """Cubics in s of code error [chips] and phase error [cycles] at t + s."""
-    c, phi = _cubic(truth, i, p, _CODE, t), _cubic(truth, i, p, _CARRIER, t)
+    c, phi = _cubic(truth, i, p, CODE, t), _cubic(truth, i, p, CARRIER, t)
     code, carrier = replica_at(line, t)
     freq = line[4] + line[5] * (t - line[0])
     cycles = phi[0] - carrier
@@ -182,52 +196,22 @@ def _to_kink(first: float, last: float, offset_chips: np.ndarray, steps: float) 
     return part
 
 
-@borrowing
+@borrowing(fastmath=FAST_SUM)
 def _moments(half: float, e: Any, phi: Any) -> tuple[complex, complex]:
-    """int w ds and int (e - e_0) w ds over [-half, half), w = exp(j 2 pi phi)."""
+    """int w ds and int (e - e_0) w ds over [-half, half), w = exp(j 2 pi phi): 8-point rule."""
     cycles = 2.0 * max(abs(_value(phi, -half) - phi[0]), abs(_value(phi, half) - phi[0]))
-    if cycles < _SHORT_CYCLES:
-        return _short_rule(half, e, phi)
     n = 1 + int(cycles / _MAX_CYCLES)
-    zero, one = 0.0j, 0.0j
+    part = half / n
+    weight = part * load(_WEIGHT, 0)
+    zero_c, zero_s, one_c, one_s = fill(0.0), fill(0.0), fill(0.0), fill(0.0)
     for k in range(n):
-        more = _rule((2 * k + 1 - n) * half / n, half / n, e, phi)
-        zero += more[0]
-        one += more[1]
-    return zero, one
-
-
-@borrowing(fastmath=FAST_SUM)
-def _rule(middle: float, half: float, e: Any, phi: Any) -> tuple[complex, complex]:
-    """The moments over middle +- half by the 8-point rule."""
-    zero, one = 0.0j, 0.0j
-    for k in range(_NODE.size):
-        s = middle + half * _NODE[k]
-        c, q = cos_sin(_value(phi, s))
-        w = half * _WEIGHT[k] * complex(c, q)
-        zero += w
-        one += s * (e[1] + s * (e[2] + s * e[3])) * w
-    return zero, one
-
-
-@borrowing(fastmath=FAST_SUM)
-def _short_rule(half: float, e: Any, phi: Any) -> tuple[complex, complex]:
-    """The moments over +-half by the 4-point rule, for phases within 0.63 rad of the middle's.
-
-    One sine and cosine at the middle; Taylor's series from there, short by 4e-10.
-    """
-    zero_c, zero_s, one_c, one_s = 0.0, 0.0, 0.0, 0.0
-    for k in range(_SHORT_NODE.size):
-        s = half * _SHORT_NODE[k]
-        x = 2.0 * math.pi * s * (phi[1] + s * (phi[2] + s * phi[3]))
-        z = x * x
-        c = 1.0 - z / 2 * (1.0 - z / 12 * (1.0 - z / 30 * (1.0 - z / 56 * (1.0 - z / 90))))
-        si = x * (1.0 - z / 6 * (1.0 - z / 20 * (1.0 - z / 42 * (1.0 - z / 72))))
+        s = part * load(_NODE, 0) + (2 * k + 1 - n) * part
+        phase = phi[0] + s * (phi[1] + s * (phi[2] + s * phi[3]))
+        sine, cosine = sin_cos((2.0 * math.pi) * phase)
+        sine, cosine = weight * sine, weight * cosine
         drift = s * (e[1] + s * (e[2] + s * e[3]))
-        zero_c += _SHORT_WEIGHT[k] * c
-        zero_s += _SHORT_WEIGHT[k] * si
-        one_c += _SHORT_WEIGHT[k] * drift * c
-        one_s += _SHORT_WEIGHT[k] * drift * si
-    cosine, sine = cos_sin(phi[0])
-    turn = half * complex(cosine, sine)
-    return turn * complex(zero_c, zero_s), turn * complex(one_c, one_s)
+        zero_c += cosine
+        zero_s += sine
+        one_c += drift * cosine
+        one_s += drift * sine
+    return complex(total(zero_c), total(zero_s)), complex(total(one_c), total(one_s))

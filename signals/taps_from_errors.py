@@ -13,6 +13,7 @@ integrations; see `correlator_model` for commands, trajectories and data symbols
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -72,14 +73,12 @@ def taps_from_errors(
         Errors that are not finite or beyond 1e9 in size, durations that are not positive, more
         than one signal, keys out of range, an ``out`` that does not fit.
     """
-    own = correlations_of(chips)
-    if len(own.first) != 1:
-        raise ValueError(f"chips of {len(own.first)} signals: expected one")
     offset = np.ascontiguousarray(offset_chips, dtype=np.float64)
     if offset.ndim != 1 or not np.all(np.abs(offset) <= _LARGEST):
         raise ValueError(
             f"offset_chips is {offset_chips!r}: expected (n_tap,) of at most {_LARGEST:g} in size"
         )
+    own, factor = _correlation_of(chips, offset)
     given = [np.asarray(x, np.float64) for x in (delay_chips, phase_cycles, freq_hz, duration_s)]
     cn0 = np.asarray(cn0_dbhz, np.float64)
     keys = [np.asarray(channel), np.asarray(0 if number is None else number)]
@@ -87,6 +86,9 @@ def taps_from_errors(
     for name, x in zip(
         ("delay_chips", "phase_cycles", "freq_hz", "duration_s"), given, strict=True
     ):
+        least = math.ulp(0.0) if name == "duration_s" else -_LARGEST
+        if not x.size or least <= x.min() <= x.max() <= _LARGEST:
+            continue
         far = ~(np.abs(x) <= _LARGEST) | (x <= 0.0 if name == "duration_s" else False)
         if far.any():
             kind = "positive numbers up to" if name == "duration_s" else "numbers of at most"
@@ -112,11 +114,30 @@ def taps_from_errors(
         raise ValueError("out: expected a contiguous array that can be written")
     _all(
         *reals, named, numbered, own.table, float(own.period[0]), float(own.per_chip[0]),
-        math.sqrt(own.kept[0]), offset, tap_factor(own, 0, offset), int(key[0]), int(key[1]),
+        math.sqrt(own.kept[0]), offset, factor, int(key[0]), int(key[1]),
         seed is not None, np.empty((11 + 4 * ((offset.size + 1) // 2), _BLOCK)),
         np.empty((6, _BLOCK), np.uint64), result.view(np.float64).reshape(n, 2 * offset.size),
     )  # fmt: skip
     return result
+
+
+def _correlation_of(
+    chips: np.ndarray | Replicas | Correlations, offset: np.ndarray
+) -> tuple[Correlations, np.ndarray]:
+    """Correlation of the one signal and the factor of its taps' noise."""
+    if isinstance(chips, np.ndarray) and chips.ndim == 2 and len(chips) == 1:
+        # a call in a loop over blocks: the spectrum of the code would cost as much as the block
+        return _of_row(chips.tobytes(), chips.dtype.str, offset.tobytes())
+    own = correlations_of(chips)
+    if len(own.first) != 1:
+        raise ValueError(f"chips of {len(own.first)} signals: expected one")
+    return own, tap_factor(own, 0, offset)
+
+
+@lru_cache(maxsize=64)
+def _of_row(row: bytes, kind: str, offset: bytes) -> tuple[Correlations, np.ndarray]:
+    own = correlations_of(np.frombuffer(row, kind)[None])
+    return own, tap_factor(own, 0, np.frombuffer(offset))
 
 
 def _flat(x: np.ndarray, shape: tuple[int, ...], dtype: Any) -> np.ndarray:

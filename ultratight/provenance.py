@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import platform
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -59,6 +60,7 @@ def sources_sha256() -> str:
     return digest.hexdigest()
 
 
+@cache  # reading a package's metadata takes milliseconds
 def _version(package: str) -> str:
     try:
         return version(package)

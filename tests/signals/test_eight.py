@@ -14,6 +14,7 @@ from signals.eight import (
     load_part,
     padded,
     root,
+    sin_cos,
     size,
     store,
     store_part,
@@ -58,6 +59,14 @@ def _dot(a, b):
     return total(s)
 
 
+@borrowing
+def _tabulate(x, s, c):
+    for i in range(0, x.size, WIDTH):
+        sine, cosine = sin_cos(load(x, i))
+        store(s, i, sine)
+        store(c, i, cosine)
+
+
 def test_operations_are_those_of_numpy():
     rng = np.random.default_rng(1)
     a, b = rng.standard_normal((2, WIDTH))
@@ -98,3 +107,16 @@ def test_parts_touch_nothing_else(n):
 
 def test_padded_is_a_multiple():
     assert [padded(n) for n in (0, 1, 8, 17, 25)] == [0, 8, 8, 24, 32]
+
+
+def test_sine_and_cosine_are_those_of_the_library():
+    """Some ulps of 1 and, without fused multiply-add, the product k pi rounded: 2^-53 |x|."""
+    x = np.concatenate([np.linspace(-7.0, 7.0, 401), [1e-100, 1e-9, 0.5 * np.pi, np.pi, 1e4, -3e5]])
+    x = np.append(x, np.zeros(-x.size % WIDTH))
+    s, c = np.empty_like(x), np.empty_like(x)
+    _tabulate(x, s, c)
+    tolerance = 5e-16 + 2.0**-53 * np.abs(x)
+    assert np.all(np.abs(s - np.sin(x)) < tolerance)
+    assert np.all(np.abs(c - np.cos(x)) < tolerance)
+    _tabulate(np.full(WIDTH, np.nan), s[:WIDTH], c[:WIDTH])
+    assert np.isnan(s[:WIDTH]).all()

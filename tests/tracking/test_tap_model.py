@@ -4,14 +4,11 @@ import numpy as np
 import pytest
 
 from signals.codes import GPS_L1CA, GPS_L1CP, GPS_L5Q
-from signals.compiled import borrowing
-from signals.eight import WIDTH, load, store
 from ultratight.filters.gaussian import Gaussian, Measurement, update
 from ultratight.filters.reference import update_reference
 from ultratight.filters.rules import RULES
 from ultratight.tracking.channels import channels
 from ultratight.tracking.code_model import HALF, OFFSET, SPACING, code_rows
-from ultratight.tracking.tap_functions import sin_cos
 from ultratight.tracking.tap_model import TapModel
 
 FIELDS = ("mean", "cov", "innovation", "S", "gain", "nis", "H")
@@ -34,14 +31,6 @@ def problem(d, scale, n=20, nb=5):
     R = np.broadcast_to(np.diag([0.01, 0.02, 0.03]), (nb, 3, 3)).copy()
     state = Gaussian(0.1 * rng.standard_normal(n), cov)
     return state, Measurement(z, A, R, model, model.jacobian, np.arange(nb))
-
-
-@borrowing
-def _tabulate(x, s, c):
-    for i in range(0, x.size, WIDTH):
-        sine, cosine = sin_cos(load(x, i))
-        store(s, i, sine)
-        store(c, i, cosine)
 
 
 def assert_same(found, expected):
@@ -71,20 +60,6 @@ def test_one_call_is_the_python_path():
     for name in ("linearised", "gh7"):
         found = update(state, measurement, RULES[name])
         assert_same(found, update(state, plain, RULES[name]))
-
-
-@pytest.mark.nojit
-def test_sine_and_cosine_are_those_of_the_library():
-    """Some ulps of 1 and, without fused multiply-add, the product k pi rounded: 2^-53 |x|."""
-    x = np.concatenate([np.linspace(-7.0, 7.0, 401), [1e-100, 1e-9, 0.5 * np.pi, np.pi, 1e4, -3e5]])
-    x = np.append(x, np.zeros(-x.size % WIDTH))
-    s, c = np.empty_like(x), np.empty_like(x)
-    _tabulate(x, s, c)
-    tolerance = 5e-16 + 2.0**-53 * np.abs(x)
-    assert np.all(np.abs(s - np.sin(x)) < tolerance)
-    assert np.all(np.abs(c - np.cos(x)) < tolerance)
-    _tabulate(np.full(WIDTH, np.nan), s[:WIDTH], c[:WIDTH])
-    assert np.isnan(s[:WIDTH]).all()
 
 
 @pytest.mark.nojit

@@ -110,7 +110,7 @@ def measure(
             f"{bits.channel[missing]}: the coherent model needs them"
         )
     model = TapModel(params)
-    return Measurement(z, A, R, model, model.jacobian, bits.channel)
+    return Measurement(z, A, R, model, model.jacobian, bits.channel, bits.span)
 
 
 # ---- kernels ---------------------------------------------------------------------------------

@@ -37,6 +37,8 @@ from ultratight.tracking.steering import (
 ABSURD_SPEED_MPS = 2e4
 ABSURD_DRIFT_MPS = 4e4
 """Beyond what a scenario may ask for: an estimate there has nothing to do with a receiver"""
+FINE, NOT_FINITE, ABSURD = range(3)
+"""What may come of an estimate"""
 STATES = "covariance of the error states after the update; the channels' phases are left out"
 UNITS = "products of m, m/s, rad, m/s2, rad/s, m, m/s, 1"
 
@@ -134,24 +136,21 @@ class UltraTight:
                 "ultratight.filters.gaussian.Update"
             )
         mean, cov = np.ascontiguousarray(u.mean), np.ascontiguousarray(u.cov)
-        if not _is_finite(mean, cov):
+        outcome = _settle(
+            self.steering.buffer, self.sky.arcs, mean, cov, self.layout.phase.start, self.no_phase,
+            self.t_s,
+        )  # fmt: skip
+        if outcome == NOT_FINITE:
             self._give_up("the filter's estimate is not finite")
             return
         self.update, self.cov = u, cov
         self.events += [(self.t_s, -1, *note) for note in getattr(self.filter, "notes", ())]
-        self._feed_back(mean, mean[self.layout.phase] if self.coherent else self.no_phase)
-        if self._is_absurd():
+        if outcome == ABSURD:
             self._give_up("estimated velocity or clock drift beyond any receiver's")
             return
         self.events += self.lock.watch(self.t_s, bits.channel, measurement.z)
         self._choose_model(u, measurement)
         self.epoch += 1
-
-    def _is_absurd(self) -> bool:
-        s = self.steering
-        return bool(
-            math.hypot(*s.v_eb_e.tolist()) > ABSURD_SPEED_MPS or abs(s.clock[1]) > ABSURD_DRIFT_MPS
-        )
 
     def _give_up(self, reason: str) -> None:
         """The filter has diverged: there is nothing left to steer with."""
@@ -165,7 +164,7 @@ class UltraTight:
             bits, self.steering, self.t_s, layout.n, layout.phase.start, self.codes,
             k.channels.pilot, self.spacing_chips, self.noise.clock_sf, self.amplitudes,
             k.data_bits, k.first_bit, self.clock_lag_s, self.settings.epoch_s,
-        )._replace(span=bits.span)  # fmt: skip
+        )  # fmt: skip
 
     def _prediction(self) -> Prediction:
         s, n, T = self.steering, self.layout.n, self.settings.epoch_s
@@ -319,13 +318,28 @@ def _transition(
 
 
 @borrowing
-def _is_finite(mean: np.ndarray, cov: np.ndarray) -> bool:
+def _settle(
+    buffer: np.ndarray,
+    sky: np.ndarray,
+    mean: np.ndarray,
+    cov: np.ndarray,
+    n: int,
+    no_phase: np.ndarray,
+    t_s: float,
+) -> int:
+    """Feed back an estimate of n states and phases, if any, where it is finite; is it absurd?"""
     total = 0.0
     for i in range(mean.size):
         total += 0.0 * mean[i]
         for j in range(mean.size):
             total += 0.0 * cov[i, j]
-    return total == 0.0
+    if total != 0.0:
+        return NOT_FINITE
+    feed_back(buffer, sky, mean[:n], mean[n:] if mean.size > n else no_phase, t_s)
+    s = views(buffer, no_phase.size)
+    v = s.v_eb_e
+    speed = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+    return ABSURD if speed > ABSURD_SPEED_MPS or abs(s.clock[1]) > ABSURD_DRIFT_MPS else FINE
 
 
 @borrowing
