@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from ultratight.monte_carlo import sweep
+    from ultratight.monte_carlo import rerun, sweep
     from ultratight.results import Run, Variable
     from ultratight.results import load as load_run
     from ultratight.scenario import PRESETS, InvalidInput, Scenario, load
@@ -32,6 +32,7 @@ __all__ = [
     "Variable",
     "load",
     "load_run",
+    "rerun",
     "run",
     "sweep",
 ]
@@ -44,6 +45,7 @@ _HOMES = {
     "Variable": ("results", "Variable"),
     "load": ("scenario", "load"),
     "load_run": ("results", "load"),
+    "rerun": ("monte_carlo", "rerun"),
     "run": ("simulation", "run"),
     "sweep": ("monte_carlo", "sweep"),
 }

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import logging
+import math
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -47,6 +49,10 @@ Seed = Annotated[
 ]
 
 
+LINE_S = 60.0
+"""A line at least this often"""
+
+
 class Interrupted(Exception):
     """An interrupt after which there is something to say, in one line."""
 
@@ -69,7 +75,10 @@ def interruptible() -> Iterator[None]:
 
 @contextmanager
 def progress(what: str, quiet: bool) -> Iterator[Callable[[float], None] | None]:
-    """A bar on a terminal, a line per tenth when piped, nothing when quiet; on stderr."""
+    """A bar on a terminal, a line per tenth or minute when piped, nothing when quiet; on stderr.
+
+    Both with the time left.
+    """
     if quiet:
         before = logging.root.manager.disable
         logging.disable(logging.WARNING)
@@ -85,12 +94,26 @@ def progress(what: str, quiet: bool) -> Iterator[Callable[[float], None] | None]
             task = bar.add_task(f"{what} (the first run compiles)", total=1.0)
             yield lambda share: bar.update(task, completed=share)
     else:
-        done = -1
+        done, said = -1, -math.inf
+        began: tuple[float, float] | None = None
 
         def report(share: float) -> None:
-            nonlocal done
-            if int(share * 10.0) > done:
-                done = int(share * 10.0)
-                print(f"{what}: {10 * done} %", file=sys.stderr, flush=True)
+            nonlocal done, said, began
+            now = time.monotonic()
+            if began is None:
+                began = now, share
+            if int(share * 10.0) > done or now - said > LINE_S:
+                done, said = int(share * 10.0), now
+                left = (1.0 - share) * (now - began[0]) / max(share - began[1], 1e-9)
+                known = share > began[1] and share < 1.0
+                more = f", about {duration(left)} left" if known else ""
+                print(f"{what}: {int(100.0 * share)} %{more}", file=sys.stderr, flush=True)
 
         yield report
+
+
+def duration(seconds: float) -> str:
+    """A time in a unit that suits it."""
+    if seconds < 90.0:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400.0 else f"{seconds / 3600:.1f} h"

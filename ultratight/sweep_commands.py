@@ -15,6 +15,7 @@ from ultratight.options import (
     Quiet,
     Seed,
     Source,
+    duration,
     interruptible,
     progress,
 )
@@ -90,6 +91,58 @@ def sweep(
     _tell(data, out, as_json, quiet)
 
 
+def rerun(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="folder of a sweep")],
+    run: Annotated[int, typer.Option(metavar="N", help="number of the run, from 0")],
+    cell: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=VALUE", help="which cell, e.g. filter=qkf; one per axis"),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE.nc", help="write the run (netCDF)")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Fly one run of a sweep again; say whether the bits agree.
+
+    From what the folder says alone: scenario, seed and copies of the files that it names.
+    """
+    from ultratight import config, monte_carlo, report, results
+
+    if out:
+        results.check_writable(out)
+    chosen = config.nest(cell or [])
+    again = monte_carlo.rerun(folder, run, chosen)
+    if out and again.run is not None:
+        again.run.save(out)
+    if as_json:
+        told = {
+            "agrees": again.agrees,
+            "sha256": again.now["sha256"],
+            "failure": again.now["failure"],
+            "other": again.other,
+            "summary": None if again.run is None else again.run.summary,
+        }
+        print(json.dumps(told))
+    elif again.run is None:
+        print(f"run {run} failed: {again.now['failure']}")
+    else:
+        print("\n".join(report.report(again.run)))
+    if not as_json:
+        for name, (then, now) in again.other.items():
+            print(f"{name}: {then} then, {now} now")
+        print(_VERDICTS[again.agrees])
+    if again.agrees is False:
+        raise typer.Exit(1)
+
+
+_VERDICTS = {
+    True: "bits agree with the sweep's",
+    False: "bits differ from the sweep's",
+    None: "the sweep has not finished this run: nothing to compare with",
+}
+
+
 def _tell(data: Any, out: Path | None, as_json: bool, quiet: bool) -> None:
     from ultratight.sweeps import dataset, table
 
@@ -127,10 +180,4 @@ def _tell_plan(plan: Plan, jobs: int | None, as_json: bool) -> None:
     for cell, s in zip(plan.cells, each, strict=True):
         print(f"{cell}: {plan.runs} runs of about {s:.2g} s")
     what = f"{len(plan.cells)} cells, {plan.n_run} runs"
-    print(f"{what}: about {_duration(total)} with {n_worker} at a time; nothing flown")
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 90.0:
-        return f"{seconds:.2g} s" if seconds < 10.0 else f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 5400.0 else f"{seconds / 3600:.1f} h"
+    print(f"{what}: about {duration(total)} with {n_worker} at a time; nothing flown")

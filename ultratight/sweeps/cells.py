@@ -115,7 +115,7 @@ def cells(
     made, problems = [], dict[str, None]()
     for index in product(*(range(len(axis.labels)) for axis in of)):
         try:
-            made.append(_cell(base, of, index, factories))
+            made.append(cell_at(base, of, index, factories))
         except InvalidInput as error:
             problems |= dict.fromkeys(error.problems)
     if problems:
@@ -127,8 +127,15 @@ def cells(
     return made
 
 
-def _cell(base: Scenario, of: Sequence[Axis], index: tuple[int, ...], own: Factories) -> Cell:
-    pairs = [pair for axis, i in zip(of, index, strict=True) for pair in axis.changes[i].items()]
+def cell_at(
+    base: Scenario,
+    of: Sequence[Axis],
+    place: tuple[int, ...],
+    own: Factories,
+    moved: Callable[[str], str] | None = None,
+) -> Cell:
+    """One combination; ``moved`` says where the files are that its scenario names."""
+    pairs = [pair for axis, i in zip(of, place, strict=True) for pair in axis.changes[i].items()]
     changes = dict(pairs)
     if len(changes) < len(pairs):
         twice = next(key for key, _ in pairs if sum(key == other for other, _ in pairs) > 1)
@@ -138,11 +145,13 @@ def _cell(base: Scenario, of: Sequence[Axis], index: tuple[int, ...], own: Facto
     if name is not None:
         del changes[named_files.FILTER]  # it is laid over the run, not over the scenario
     scenario = base.replace(changes) if changes else base
+    if moved is not None:
+        scenario = Scenario.from_dict(named_files.moved(scenario.to_dict(), moved))
     lines = named_files.problems(scenario.to_dict())
     if lines:
         raise InvalidInput(lines)
-    labels = {axis.dim: axis.labels[i] for axis, i in zip(of, index, strict=True)}
-    return Cell(index, labels, scenario, name)
+    labels = {axis.dim: axis.labels[i] for axis, i in zip(of, place, strict=True)}
+    return Cell(place, labels, scenario, name)
 
 
 def _check_factory(name: str, factory: Callable[[], Filter]) -> None:

@@ -11,7 +11,6 @@ import hashlib
 import json
 import os
 import tempfile
-import threading
 import time
 import traceback
 from collections.abc import Callable, Mapping
@@ -33,7 +32,6 @@ from ultratight.sweeps.series import series
 COST = ("wall_s", "loop_s", "realtime_factor", "cpu_path")
 """Of a summary: what belongs to the machine"""
 _STATE = ("t_s", "r_eb_e", "v_eb_e", "C_b_e")
-_WATCH_S = 1.0
 Record = dict[str, Any]
 
 
@@ -67,8 +65,6 @@ class Task(NamedTuple):
     code: dict[str, Any]
     """`code` of the process that asks"""
     inputs: tuple[Input, ...] = ()
-    parent: int | None = None
-    """Process without which a local worker has no purpose"""
 
 
 @cache
@@ -87,18 +83,17 @@ def fly(task: Task) -> list[Record]:
     OSError, MemoryError
         No fault of the run.
     """
-    if task.parent is not None:
-        _end_with(task.parent)
     if task.code != code():
         other = ", ".join(k for k in task.code if task.code[k] != code().get(k))
         raise InvalidInput(
             f"worker on {os.uname().nodename if hasattr(os, 'uname') else 'a machine'}: other "
             f"{other} than where the sweep was started, expected the same"
         )
-    return [_record(item, task) for item in task.items]
+    return [fly_one(item, task)[0] for item in task.items]
 
 
-def _record(item: Item, task: Task) -> Record:
+def fly_one(item: Item, task: Task) -> tuple[Record, Run | None]:
+    """The record of a run, and the run; None where it failed."""
     began = time.perf_counter()
     scenario, digest = _scenario(item.scenario, task.inputs)
     factory, own_sha = task.factories[item.own] if item.own is not None else (None, None)
@@ -109,29 +104,26 @@ def _record(item: Item, task: Task) -> Record:
         raise
     except Exception as error:
         failure = reason(error)
-    return record(item, scenario, (digest, own_sha), flown, failure, task.keep, task.every_s, began)
+    kept = {} if flown is None else {
+        name: series(flown, name, scenario.duration_s, task.every_s) for name in task.keep
+    }  # fmt: skip
+    made = _record(item, (digest, own_sha), flown, failure, kept)
+    made["cost"]["took_s"] = time.perf_counter() - began
+    return made, flown
 
 
-def record(
+def _record(
     item: Item,
-    scenario: Scenario,
     digests: tuple[str, str | None],
     flown: Run | None,
     failure: str,
-    keep: tuple[str, ...],
-    every_s: float,
-    began: float,
+    kept: Mapping[str, np.ndarray],
 ) -> Record:
     """What is kept of a run; ``digests``: of its scenario and of the source of its own filter."""
     summary = dict(flown.summary) if flown is not None else {}
     cost = {key: summary.pop(key) for key in COST if key in summary}
     if item.own is not None and summary:
         summary["filter"] = item.own
-    kept = {
-        name: series(flown, name, scenario.duration_s, every_s)
-        for name in keep
-        if flown is not None
-    }
     texts = {name: base64.b64encode(values.astype("<f8").tobytes()).decode("ascii")
              for name, values in kept.items()}  # fmt: skip
     estimate = None if flown is None else _estimate_sha256(flown)
@@ -145,7 +137,6 @@ def record(
         "series": texts,
     }
     text = json.dumps(science, sort_keys=True, separators=(",", ":"))
-    cost["took_s"] = time.perf_counter() - began
     return {
         "cell": item.cell,
         "run": item.run,
@@ -202,17 +193,3 @@ def _found(entry: Input) -> str:
     copy = folder / path.name
     copy.write_bytes(entry.data or b"")
     return str(copy)
-
-
-@cache
-def _end_with(parent: int) -> None:
-    """Let this process end when the one that asked is gone, however it went."""
-    if os.getpid() == parent:
-        return
-
-    def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(_WATCH_S)
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()

@@ -56,6 +56,17 @@ def read_header(folder: Path) -> dict[str, Any]:
     return header
 
 
+def find(folder: Path, cell: int, run: int) -> Record | None:
+    """The record of a finished run; None where there is none."""
+    with (folder / NAME).open("rb") as file:
+        file.readline()
+        for line in file:
+            data = _parsed(line)
+            if data is not None and (data["cell"], data["run"]) == (cell, run):
+                return data
+    return None
+
+
 class Journal:
     """The finished runs of a sweep in a folder.
 

@@ -7,6 +7,7 @@ happens when a worker is lost.
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -15,6 +16,7 @@ import joblib
 import numpy as np
 
 from ultratight.config import InvalidInput
+from ultratight.sweeps import local_worker
 from ultratight.sweeps.flights import Record, Task, fly
 
 TASK_S = 1.0
@@ -100,15 +102,22 @@ def _backend(executor: Any, jobs: int | None) -> Iterator[int]:
     """The joblib backend in force, and how many workers it has."""
     if executor is None:
         n = joblib.cpu_count() if jobs is None else jobs
-        threads = {} if n == 1 else {"inner_max_num_threads": 1}
-        with joblib.parallel_config(backend="loky", n_jobs=n, **threads):
+        if n == 1:  # this process
+            yield n
+            return
+        with joblib.parallel_config(
+            backend="loky",
+            inner_max_num_threads=1,
+            initializer=local_worker.begin,
+            initargs=(os.getpid(),),
+        ):
             yield n
         return
     with _client(executor) as client:
         n = sum(client.nthreads().values())
         if n == 0:
             raise OSError(f"cluster {client.scheduler.address}: has no workers")
-        with joblib.parallel_config(backend="dask", client=client, n_jobs=n):
+        with joblib.parallel_config(backend="dask", client=client):
             yield n
 
 
