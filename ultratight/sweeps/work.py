@@ -160,6 +160,8 @@ def factory_sha256(factory: Callable[[], Filter], name: str) -> str:
     bound = ""
     if isinstance(factory, partial):
         bound = repr((factory.args, sorted(factory.keywords.items())))
+        if " at 0x" in bound:
+            raise InvalidInput(f"filters: {name} is bound to {bound}, expected plain values")
         factory = factory.func
     try:
         path = inspect.getsourcefile(factory)

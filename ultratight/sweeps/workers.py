@@ -21,6 +21,7 @@ from ultratight.sweeps.flights import Record, Task, fly
 
 TASK_S = 1.0
 """A task is as many runs as take this long: handing one out costs milliseconds"""
+CONNECT_S = 10
 _MOST = 64
 _SHARE = 4
 """Every worker has at least so many tasks still before it, so that all end together"""
@@ -71,6 +72,11 @@ def fly_all(
                     lost = 0
                     yield records
         except Exception as error:
+            if "un-serialize" in str(error):
+                raise InvalidInput(
+                    "filters: a worker cannot load what was given, expected FILE.py:NAME as "
+                    "receiver.filter, or a module that can be imported"
+                ) from error
             if not _is_loss(error):
                 raise
             lost += 1
@@ -133,7 +139,7 @@ def _client(executor: Any) -> Iterator[Any]:
         yield executor
     elif isinstance(executor, str):
         try:
-            client = distributed.Client(executor, timeout=10, set_as_default=False)
+            client = distributed.Client(executor, timeout=CONNECT_S, set_as_default=False)
         except (OSError, ValueError) as error:
             raise OSError(f"cluster {executor}: cannot be reached ({_said(error)})") from None
         with client:
