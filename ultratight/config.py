@@ -56,11 +56,11 @@ def read_toml(path: Path) -> dict[str, Any]:
     return parse_toml(text, str(path))
 
 
-def parse_override(text: str) -> tuple[str, Any]:
+def parse_override(text: str, option: str = "--set") -> tuple[str, Any]:
     """``imu.lag_s=0.0025`` -> ("imu.lag_s", 0.0025); the value is TOML, a bare word a string."""
     key, equals, value = (part.strip() for part in text.partition("="))
     if not (equals and key and value):
-        raise InvalidInput(f"--set {text!r}: expected key=value, e.g. imu.lag_s=0.0025")
+        raise InvalidInput(f"{option} {text!r}: expected key=value, e.g. imu.lag_s=0.0025")
     try:
         return key, tomllib.loads(f"value = {value}")["value"]
     except tomllib.TOMLDecodeError:

@@ -111,7 +111,7 @@ def rerun(
 
     if out:
         results.check_writable(out)
-    chosen = config.nest(cell or [])
+    chosen = dict(config.parse_override(text, "--cell") for text in cell or [])
     again = monte_carlo.rerun(folder, run, chosen)
     if out and again.run is not None:
         again.run.save(out)

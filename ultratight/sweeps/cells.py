@@ -88,8 +88,12 @@ def _labels(values: Sequence[Any]) -> tuple[Any, ...]:
     """Numbers as they are, all else as text."""
     if all(isinstance(v, int | float) and not isinstance(v, bool) for v in values):
         return tuple(values)
-    texts = ("none" if v is None else config.show(v) for v in values)
-    return tuple(text.strip('"') for text in texts)
+    return tuple(label(value) for value in values)
+
+
+def label(value: Any) -> str:
+    """A value as the text that stands for it along its axis."""
+    return value if isinstance(value, str) else "none" if value is None else json.dumps(value)
 
 
 def cells(

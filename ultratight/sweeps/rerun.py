@@ -101,8 +101,8 @@ def _place(axes: Sequence[Axis], chosen: Mapping[str, Any]) -> tuple[int, ...]:
             place.append(0)
         elif given in axis.labels:
             place.append(axis.labels.index(given))
-        elif given is not None and config.show(given).strip('"') in texts:
-            place.append(texts.index(config.show(given).strip('"')))
+        elif given is not None and cells.label(given) in texts:
+            place.append(texts.index(cells.label(given)))
         else:
             said = "missing" if given is None else f"{config.show(given)} given"
             problems.append(f"cell: {axis.dim} {said}, expected one of {', '.join(texts)}")
