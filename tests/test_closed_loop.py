@@ -183,6 +183,22 @@ def test_closed_form_moments_fly_as_343_points_do():
     )
 
 
+def test_square_root_form_flies_as_the_plain_one_does():
+    """50 s: estimates within a thousandth of a sigma, sigmas to 1e-6; only rounding is between.
+
+    P spans 25 m2 to some 1e-6 m2 (phases): the plain form keeps eight digits of the latter.
+    """
+    plain, root = (flown("uniform", name, 1) for name in ("qkf", "qkf-sqrt"))
+    kinds = [[(e.kind, e.t_s) for e in run.events] for run in (plain, root)]
+    assert kinds[0] == kinds[1]
+    sigma, other = (
+        np.sqrt(np.diagonal(run["covariance"], axis1=1, axis2=2)) for run in (plain, root)
+    )
+    np.testing.assert_allclose(other, sigma, rtol=1e-6)
+    for name, rows in (("r_eb_e", slice(0, 3)), ("v_eb_e", slice(3, 6))):
+        assert np.all(np.abs(root[name] - plain[name]) < 1e-3 * sigma[:, rows]), name
+
+
 def test_states_may_be_asked_for_by_the_scenario():
     """The same bits as the row; a coherent 20-state receiver can also be told to have 17."""
     by_row = flown("jump-1", "qkf-20", **SHORT)

@@ -26,6 +26,7 @@ from ultratight.filters.interval import IntervalQ, VelocityQ, intersect_boxes, i
 from ultratight.filters.jump_triggered import IO, J1, JTQ
 from ultratight.filters.multiple_model import IMM3, ImmOptions
 from ultratight.filters.rules import Rule, get_rule
+from ultratight.filters.square_root import SquareRoot
 
 __all__ = [
     "CATALOG",
@@ -64,6 +65,7 @@ class Recipe:
     interval_q: IntervalQ | None = None  # applied before the prediction
     velocity_q: VelocityQ | None = None  # so is this
     noise: SageHusa | None = None  # R and Q estimated from the innovations
+    square_root: bool = False  # a triangular factor of P is kept in place of P
     states: int = 17  # 20: with three accelerometer scale factors
     several: Several | None = None  # a bank of hypotheses in place of one Gaussian
 
@@ -129,6 +131,9 @@ CATALOG: dict[str, Recipe] = {
                           velocity_q=VelocityQ(0.03)),
     "qkf-vrw0.1": Recipe(f"quadrature filter, 0.1 m/s/sqrt(s) of {_VRW}", OURS,
                          velocity_q=VelocityQ(0.1)),
+    "qkf-sqrt": Recipe(f"{_QKF}, 7 points; square-root form",
+                       "Arasaratnam & Haykin, Proc. IEEE 95 (2007); Carlson (1973)",
+                       square_root=True),
     "qkf-cf": Recipe("quadrature filter, moments of model C in closed form", OURS, "closed-form"),
     "fiqkf-r-cf": Recipe("fiqkf-r, moments of model C in closed form", OURS, "closed-form",
                          fading=BLOCK),
@@ -163,6 +168,7 @@ class RecipeFilter:
         self.recipe = recipe
         self.rule = get_rule(recipe.rule)
         self.fading = None if recipe.fading is None else Fading(recipe.fading)
+        self.root = SquareRoot() if recipe.square_root else None
         self.noise = None if recipe.noise is None else NoiseMemory(recipe.noise)
 
     @property
@@ -184,6 +190,8 @@ class RecipeFilter:
             state, prediction = recipe.interval_q.apply(state, prediction)
         if recipe.velocity_q is not None:
             prediction = recipe.velocity_q.apply(prediction)
+        if self.root is not None:
+            return self.root.step(state, prediction, measurement, self.rule, recipe.iterations)
         if self.noise is not None:
             return self.noise.step(state, prediction, measurement, self.rule, recipe.iterations)
         if self.fading is not None:

@@ -32,6 +32,25 @@ def update_reference(
     return Update(mean, cov, nu, S, K, log_likelihood, nis, H, 1.0, iterations)
 
 
+def predict_root_reference(root: np.ndarray, phi: np.ndarray, q_root: np.ndarray) -> np.ndarray:
+    """Lower root (n, n) of Phi L L' Phi' + Q by the library's QR; signs of columns are free."""
+    return np.transpose(np.linalg.qr(np.vstack([(phi @ root).T, q_root.T]))[1])
+
+
+def condition_root_reference(
+    mean: np.ndarray, root: np.ndarray, nu: np.ndarray, H: np.ndarray, noise: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Posterior mean and root by one array of all m rows, and the NIS; noise (m, m).
+
+    QR of [[N^(1/2), H L], [0, L]]' gives [[S^(1/2), 0], [K S^(1/2), L+]].
+    """
+    m, n = H.shape
+    array = np.block([[np.linalg.cholesky(noise), H @ root], [np.zeros((n, m)), root]])
+    R = np.transpose(np.linalg.qr(array.T)[1])
+    e = np.linalg.solve(R[:m, :m], nu)
+    return mean + R[m:, :m] @ e, R[m:, m:], float(e @ e)
+
+
 def _linearise_reference(density: Gaussian, measurement: Measurement, rule: Rule) -> Linearisation:
     """`Rule.linearise` from the defining sums."""
     (mean, cov), A = density, measurement.A

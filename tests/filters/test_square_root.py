@@ -1,0 +1,181 @@
+"""Square-root form: the same filter, and definite where the plain form is not."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from ultratight.filters.catalog import make_filter
+from ultratight.filters.gaussian import Gaussian, predict, update
+from ultratight.filters.reference import condition_root_reference, predict_root_reference
+from ultratight.filters.rules import RULES
+from ultratight.filters.square_root import (
+    SquareRoot,
+    condition_root,
+    first_root,
+    predict_root,
+    triangle,
+    update_root,
+)
+
+
+@pytest.mark.nojit
+@pytest.mark.parametrize("shape", [(2, 1), (6, 3), (10, 5), (5, 5)])
+def test_triangle_is_that_of_the_library(shape):
+    X = np.random.default_rng(1).standard_normal(shape)
+    X[:, -1] *= 1e-9
+    expected = np.linalg.qr(X, mode="r")
+    expected *= np.where(np.diag(expected) < 0.0, -1.0, 1.0)[:, None]
+    L = np.full((shape[1], shape[1]), np.nan)
+    triangle(X.copy(), L)
+    np.testing.assert_allclose(L, expected.T, rtol=1e-12, atol=1e-14)
+
+
+@pytest.mark.nojit
+def test_columns_without_anything_stay_empty():
+    X = np.array([[1.0, 0.0, 2.0], [2.0, 0.0, 1.0], [2.0, 0.0, 3.0]])
+    L = np.full((3, 3), np.nan)
+    triangle(X.copy(), L)
+    np.testing.assert_allclose(L @ L.T, X.T @ X, atol=1e-14)
+
+
+@pytest.mark.nojit
+@pytest.mark.parametrize("name", ["linearised", "gh5"])
+@pytest.mark.parametrize("iterations", [1, 3])
+def test_it_is_the_plain_update(make, name, iterations):
+    state, measurement = make.problem("phase", 5, nb=4, n=7, scale=0.4)
+    plain = update(state, measurement, RULES[name], iterations)
+    root = np.linalg.cholesky(state.cov)
+    found, factor = update_root(state.mean, root, measurement, RULES[name], iterations)
+    for key in ("mean", "cov", "innovation", "nis", "S", "gain", "log_likelihood"):
+        a, b = getattr(found, key), getattr(plain, key)
+        np.testing.assert_allclose(a, b, rtol=1e-10, atol=1e-11, err_msg=key)
+    np.testing.assert_array_equal(factor, np.tril(factor))
+
+
+def test_kernels_are_the_reference_arrays(make):
+    """One Householder array of all rows at once (numpy) against rotations number by number."""
+    rng = np.random.default_rng(4)
+    n, nb = 25, 8
+    root = np.tril(rng.standard_normal((n, n))) + 3.0 * np.eye(n)
+    phi = np.eye(n) + 0.1 * rng.standard_normal((n, n))
+    half = rng.standard_normal((n, 4))
+    q = half @ half.T  # of rank 4, as a clock's noise is
+    mean = rng.standard_normal(n)
+    m1, L1 = predict_root(mean, root, phi, q)
+    expected = predict_root_reference(root, phi, half)
+    np.testing.assert_allclose(L1 @ L1.T, expected @ expected.T, rtol=1e-12, atol=1e-11)
+    np.testing.assert_allclose(m1, phi @ mean)
+    plain = predict(Gaussian(mean, root @ root.T), phi, q)
+    np.testing.assert_allclose(L1 @ L1.T, plain.cov, rtol=1e-12, atol=1e-11)
+
+    H, nu = rng.standard_normal((3 * nb, n)), rng.standard_normal(3 * nb)
+    noise = np.stack([make.random_cov(rng, 3) for _ in range(nb)])
+    stacked = make.stacked_noise(noise)
+    m2, L2, nis = condition_root_reference(m1, L1, nu, H, stacked)
+    found, factor = m1.copy(), L1.copy()
+    assert condition_root(found, factor, nu, H, noise) == pytest.approx(nis, rel=1e-11)
+    np.testing.assert_allclose(found, m2, atol=1e-12)
+    np.testing.assert_allclose(factor @ factor.T, L2 @ L2.T, atol=1e-13)
+
+
+def exact_posterior(P, H, r):
+    """P - P H' (H P H' + r I)^-1 H P, row after row, in rational numbers."""
+    P = [[Fraction(float(x)) for x in row] for row in P]
+    n = len(P)
+    for h in H:
+        h = [Fraction(float(x)) for x in h]
+        Ph = [sum(P[i][j] * h[j] for j in range(n)) for i in range(n)]
+        s = sum(h[i] * Ph[i] for i in range(n)) + Fraction(float(r))
+        P = [[P[i][j] - Ph[i] * Ph[j] / s for j in range(n)] for i in range(n)]
+    return np.array([[float(x) for x in row] for row in P])
+
+
+@pytest.mark.nojit
+def test_single_precision_stays_definite_where_the_plain_form_does_not():
+    """Two nearly collinear, very exact measurements (Grewal & Andrews, 3rd ed., example 6.2).
+
+    delta^2 is below the rounding of 1 in single precision, delta is not.  The truth is rational.
+    """
+    delta = 2e-4
+    H = np.array([[1.0, 1.0, 1.0], [1.0, 1.0, 1.0 + delta]], np.float32)
+    P, r = np.eye(3, dtype=np.float32), np.float32(delta**2)
+    expected = exact_posterior(P, H, r)
+
+    S = H @ P @ H.T + r * np.eye(2, dtype=np.float32)
+    K = np.linalg.solve(S, H @ P).T
+    assert S.dtype == K.dtype == np.float32
+    plain = P - K @ S @ K.T
+    assert np.linalg.eigvalsh(plain.astype(float))[0] < 0.0
+
+    L, mean = P.copy(), np.zeros(3, np.float32)
+    condition_root(mean, L, np.zeros(2, np.float32), H, np.full((2, 1, 1), r, np.float32))
+    assert L.dtype == np.float32
+    found = L.astype(float) @ L.astype(float).T
+    least = np.linalg.eigvalsh(expected)[0]
+    assert np.linalg.eigvalsh(found)[0] == pytest.approx(least, rel=0.05)
+    np.testing.assert_allclose(found, expected, atol=2e-3 * np.abs(expected).max())
+
+
+def test_single_precision_over_a_thousand_epochs():
+    """Position observed to 1 mm, a rate driven by 1e-4: single against double, relative."""
+    phi = np.array([[1.0, 0.02], [0.0, 1.0]])
+    q = 1e-8 * 0.02 * np.array([[0.02**2 / 3, 0.02 / 2], [0.02 / 2, 1.0]])
+    H, noise = np.array([[1.0, 0.0]]), np.full((1, 1, 1), 1e-6)
+    roots = []
+    for kind in (np.float64, np.float32):
+        L, mean = np.diag([1e3, 1e2]).astype(kind), np.zeros(2, kind)
+        for _ in range(1000):
+            _, L = predict_root(mean, L, phi, q)
+            assert L.dtype == kind
+            condition_root(mean, L, np.zeros(1, kind), H.astype(kind), noise.astype(kind))
+        roots.append(L.astype(float))
+    double, single = (L @ L.T for L in roots)
+    np.testing.assert_allclose(single, double, rtol=2e-3)
+    # the plain form in single precision has nothing left: a variance of 0, and no gain for ever
+    P = np.diag([1e6, 1e4]).astype(np.float32)
+    phi, q, H = (x.astype(np.float32) for x in (phi, q, H))
+    worst = np.inf
+    for _ in range(1000):
+        P = phi @ P @ phi.T + q
+        K = P @ H.T / (H @ P @ H.T + np.float32(1e-6))
+        P = P - K @ H @ P
+        worst = min(worst, np.linalg.eigvalsh(P.astype(float)).min())
+    assert worst <= 0.0
+
+
+def test_a_covariance_of_others_is_factored_anew(make):
+    """At a hand-over the receiver makes its own covariance: the kept factor must not be used."""
+    state, measurement = make.problem("phase", 3, nb=4, n=7, scale=0.3)
+    step = make.prediction(7, 4, np.eye(7), 1e-4 * np.eye(7), layout_=None)
+    used, fresh = SquareRoot(), SquareRoot()
+    rule = RULES["gh5"]
+    first = used.step(state, step, measurement, rule)
+    kept = used.step(Gaussian(state.mean, first.cov), step, measurement, rule)
+    again = fresh.step(Gaussian(state.mean, first.cov.copy()), step, measurement, rule)
+    np.testing.assert_allclose(kept.cov, again.cov, atol=1e-13)
+    wider = Gaussian(state.mean, 4.0 * first.cov)
+    a, b = (f.step(wider, step, measurement, rule) for f in (used, SquareRoot()))
+    np.testing.assert_array_equal(a.cov, b.cov)
+
+
+@pytest.mark.nojit
+def test_a_state_without_variance_is_no_obstacle():
+    """The clock's noise of an epoch starts at zero; so do correlations of one."""
+    half = np.array([[2.0, 0.0], [1.0, 0.0], [0.0, 0.0], [0.5, 3.0]])
+    root = first_root(half @ half.T)
+    np.testing.assert_allclose(root @ root.T, half @ half.T, atol=1e-14)
+    np.testing.assert_array_equal(root, np.tril(root))
+
+
+@pytest.mark.nojit
+def test_refusals(make):
+    state, measurement = make.problem("phase", 3, nb=2, n=4, scale=0.3)
+    root = np.linalg.cholesky(state.cov)
+    with pytest.raises(ValueError, match="iterations: 0"):
+        update_root(state.mean, root, measurement, RULES["gh3"], 0)
+    with pytest.raises(ValueError, match="block-diagonal"):
+        make_filter("qkf-sqrt", rule="cubature").step(state, make.prediction(4, 2), measurement)
+    bad = Gaussian(state.mean, -state.cov)
+    with pytest.raises(np.linalg.LinAlgError):
+        make_filter("qkf-sqrt").step(bad, make.prediction(4, 2), measurement)
