@@ -1,5 +1,7 @@
 """Fading: the three readings, the memory, the gate, the two regularised forms, and the harm."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from ultratight.filters.fading import (
     AS_PRINTED,
     BLOCK,
     CLAMPED,
+    FITTED,
     Fading,
     FadingOptions,
     _fading_factor,
@@ -314,3 +317,29 @@ def test_the_printed_form_blows_up_what_is_not_observed(make):
     lams, variance = steady_flight(make, CLAMPED)
     assert lams.mean() < 1.02
     assert variance[6] <= 0.1 * (1 + 1e-9)
+
+
+def test_a_fitted_factor_is_reading_iii_over_its_own_memory(make):
+    """V0 by its recursion, M = H E (P - Q) E H', lambda = 1 + <M, V0 - S> / <M, M>.
+
+    20 epochs: (1 + q) / (1 - q) = 20 has q = 19 / 21, and q = rho / (1 + rho) then rho = 9.5.
+    """
+    assert FITTED.rho / (1.0 + FITTED.rho) == pytest.approx(19.0 / 21.0)
+    state, measurement = make.problem("phase", 4, nb=7, n=17, scale=0.3)
+    far = measurement._replace(z=measurement.z + 3.0)
+    step = make.prediction(17, 7)
+    fading = Fading(replace(FITTED, gate=0.0, start_s=0.0))
+    prior = predict(state, step.phi, step.q)
+    plain, V = update(prior, far, RULE), None
+    mask = np.ones(17)
+    mask[6:15] = 0.0  # attitude and biases
+    M = plain.H @ ((prior.cov - step.q) * np.outer(mask, mask)) @ plain.H.T
+    for _ in range(3):
+        found = fading.step(state, step, far, RULE)[1]
+        new = np.outer(plain.innovation, plain.innovation)
+        V = new if V is None else (9.5 * V + new) / 10.5
+        lam = 1.0 + np.sum(M * (V - plain.S)) / np.sum(M * M)
+        assert lam > 1.0
+        assert found.lam == pytest.approx(lam, rel=1e-9)
+    with pytest.raises(ValueError, match="expected 0 < rho <= 20"):
+        FadingOptions(fit=True, rho=21.0)

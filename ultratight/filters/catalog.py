@@ -12,7 +12,7 @@ from typing import Any, Protocol
 
 from ultratight.filters import own
 from ultratight.filters.adaptive import NoiseMemory, SageHusa
-from ultratight.filters.fading import AS_PRINTED, BLOCK, CLAMPED, Fading, FadingOptions
+from ultratight.filters.fading import AS_PRINTED, BLOCK, CLAMPED, FITTED, Fading, FadingOptions
 from ultratight.filters.gaussian import (
     Filter,
     Gaussian,
@@ -116,6 +116,10 @@ CATALOG: dict[str, Recipe] = {
     "fiqkf-r-box": Recipe(
         "fiqkf-r with the 3-sigma boxes of prior and posterior intersected", OURS,
         fading=BLOCK, intersect=intersect_boxes,
+    ),
+    "ls-fade": Recipe(
+        "as fiqkf-r, lambda fitted to 20 epochs of innovations; loses the first second at times",
+        OURS, fading=FITTED,
     ),
     "fikf-r": Recipe("extended Kalman filter with the fading of fiqkf-r", OURS, "linearised",
                      fading=BLOCK),

@@ -48,11 +48,13 @@ class FadingOptions:
     clamp: bool = False  # keep inflated variances at or below their first value
     start_s: float = 1.0  # no inflation before [s since reset]
     rho: float = 0.95  # forgetting constant of V0
+    fit: bool = False  # lambda by reading (iii) in place of (i)
     information_row: int = 1  # row of a block (Q of I, Q, S) that counts as informative always
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.rho <= 1.0:
-            raise ValueError(f"rho: {self.rho}, expected 0 < rho <= 1")
+        if not 0.0 < self.rho <= (20.0 if self.fit else 1.0):
+            most = 20 if self.fit else 1
+            raise ValueError(f"rho: {self.rho}, expected 0 < rho <= {most}")
         if self.gate < 0.0 or self.start_s < 0.0:
             raise ValueError(f"gate, start_s: {self.gate}, {self.start_s}, expected >= 0")
 
@@ -60,6 +62,8 @@ class FadingOptions:
 AS_PRINTED = FadingOptions(blocks=None, gate=0.0, start_s=0.0)
 BLOCK = FadingOptions()
 CLAMPED = FadingOptions(blocks=None, clamp=True)
+FITTED = FadingOptions(fit=True, rho=9.5)
+"""A memory of 20 epochs: (1 + q) / (1 - q) with q = rho / (1 + rho)"""
 
 
 class Fading:
@@ -107,7 +111,11 @@ class Fading:
         )  # fmt: skip
         if not is_open or self.elapsed_s <= options.start_s:
             return prior, plain
-        lam = _fading_factor(self._inflated, plain.S, plain.gain, V)
+        if options.fit:
+            HE = np.asarray(plain.H) * self._inflated
+            lam = reading_iii(HE @ (prior.cov - prediction.q) @ HE.T, plain.S, V)
+        else:
+            lam = _fading_factor(self._inflated, plain.S, plain.gain, V)
         if not lam > 1.0:
             return prior, plain
         ceiling = self.first_variance if options.clamp else np.zeros(0)
