@@ -162,6 +162,7 @@ def test_fixes_are_what_they_say(fix):
             "second-term": (1 - e.d) * old + e.d * np.diag(np.abs(np.diag(plus - minus))),
             "whole": np.diag(np.abs(np.diag((1 - e.d) * old + e.d * (plus - minus)))),
             "drop-minus": (1 - e.d) * old + e.d * np.diag(np.diag(plus)),
+            "skip": (1 - e.d) * old + e.d * (plus - minus),  # nothing is lost here
         }[fix]
         close(new, expected)
 
@@ -227,6 +228,23 @@ def test_without_a_fix_definiteness_is_lost_and_with_it_never(b):
         found = quiet_run(SageHusa(b=(b, b), fix=fix, complete=complete, gain=gain))
         assert set(found.first) == {-1}
         assert np.isfinite(found.mean).all()
+
+
+def test_skipped_steps_are_the_indefinite_ones():
+    """R^ of each epoch is that of the step made from the one before, or the one before."""
+    noise, P = SageHusa(Q=False, b=(B, B), fix="skip", gain="previous"), QUIET["start"].cov
+    run, kept = quiet_run(noise), 0
+    z, F = np.random.default_rng(5).standard_normal(300), np.array([[1.0, 1.0], [0.0, 1.0]])
+    x, R = QUIET["start"].mean, 1.0
+    for k in range(300):
+        d = (1 - B) / (1 - B ** (k + 2))
+        M, prior = F @ P @ F.T + QUIET["Q"], F @ x
+        v, K = z[k] - prior[0], M[:, 0] / (M[0, 0] + R)
+        x, P = prior + K * v, M - np.outer(K, M[0])
+        step = (1 - d) * R + d * (v**2 - M[0, 0])
+        R, kept = (step, kept) if step >= 0 else (R, kept + 1)
+        np.testing.assert_allclose(run.R_variance[k, 0], R, rtol=1e-6)
+    assert 10 < kept < 290
 
 
 @pytest.mark.nojit

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from ultratight.filters.adaptive import SageHusa
+from ultratight.filters.adaptive import SageHusa, is_semidefinite
 from ultratight.filters.gaussian import Gaussian, Measurement, predict, update
-from ultratight.filters.linear import _is_semidefinite, run_linear
+from ultratight.filters.linear import run_linear
 from ultratight.filters.rules import get_rule
 
 N, M, EPOCHS = 5, 2, 30
@@ -97,10 +97,10 @@ def test_semidefinite_agrees_with_eigenvalues(make, seed):
     deficient = (V * [1, 0.5, 0.1, 0, 0, 0]) @ V.T
     broken = (V * [1, 0.5, 0.1, 0.1, 0.1, -1e-5]) @ V.T
     for P, expected in ((definite, True), (deficient, True), (broken, False)):
-        assert _is_semidefinite(scale * (P + P.T)) == expected
-    assert _is_semidefinite(np.zeros((3, 3)))
-    assert not _is_semidefinite(np.array([[0.0, 1e-9], [1e-9, 1.0]]))
-    assert not _is_semidefinite(np.diag([1.0, np.nan]))
+        assert is_semidefinite(scale * (P + P.T)) == expected
+    assert is_semidefinite(np.zeros((3, 3)))
+    assert not is_semidefinite(np.array([[0.0, 1e-9], [1e-9, 1.0]]))
+    assert not is_semidefinite(np.diag([1.0, np.nan]))
 
 
 @pytest.mark.nojit

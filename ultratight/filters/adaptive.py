@@ -27,11 +27,14 @@ from signals.compiled import FAST_SUM, borrowing, kernel
 from ultratight.filters.gaussian import Gaussian, Measurement, Prediction, Update, predict, update
 from ultratight.filters.rules import Rule
 
-FIXES = ("none", "second-term", "whole", "drop-minus")
+FIXES = ("none", "second-term", "whole", "drop-minus", "skip")
 """What keeps R^ and Q^ definite: nothing; the bracket's diagonal by absolute value (the paper's);
-that of the whole right-hand side; the brackets v v' and K v v' K' alone, their diagonal"""
+that of the whole right-hand side; the brackets v v' and K v v' K' alone, their diagonal; a step
+that would lose definiteness is not made"""
+SKIP = FIXES.index("skip")
 GAINS = ("current", "previous")
 """R^ in the gain: that of this epoch, or, as printed, that of the epoch before"""
+_ZERO_PIVOT = 64 * np.finfo(float).eps  # times the order: pivots below are rounding
 
 
 class Codes(NamedTuple):
@@ -82,6 +85,10 @@ class SageHusa:
             self.R, self.Q, self.mean_r, self.mean_q, self.complete, self.a is not None,
             self.gain == "current", FIXES.index(self.fix), float(weights[0]), float(weights[1]),
         )  # fmt: skip
+
+    def memory(self) -> NoiseMemory:
+        """What it needs in closed loop."""
+        return NoiseMemory(self)
 
 
 class NoiseMemory:
@@ -143,7 +150,8 @@ class NoiseMemory:
         self, found: Update, measurement: Measurement, R: np.ndarray, channels: list[int]
     ) -> np.ndarray:
         """R^_k (nb, k, k) from an update made with R."""
-        new, k = np.empty(R.shape), R.shape[1]
+        new, k = R.copy(), R.shape[1]
+        room = np.empty((k, k))
         for i, channel in enumerate(channels):
             rows = slice(i * k, i * k + k)
             v = found.innovation[rows]
@@ -151,7 +159,7 @@ class NoiseMemory:
             before = measurement.R[i] if self.codes.anchored else R[i]
             weight = weight_at(self.codes.anchored, self.codes.weight_R, count)
             predicted = np.ascontiguousarray(found.S[rows, rows]) - R[i]
-            blend(before, weight, np.outer(v, v), predicted, self.codes.fix, new[i])
+            blend(before, weight, np.outer(v, v), predicted, self.codes.fix, room, new[i])
             self.R_hat[channel] = new[i]
         return new
 
@@ -162,13 +170,14 @@ class NoiseMemory:
         assert found.H is not None
         assert found.prior_cov is not None
         self._updates += 1
-        plus, minus, new = np.empty(Q.shape), np.empty(Q.shape), np.empty(Q.shape)
+        plus, minus, room = np.empty(Q.shape), np.empty(Q.shape), np.empty(Q.shape)
         bracket_of_Q(
             found.gain, found.innovation, found.S - R_gain, R, found.H @ found.prior_cov,
             found.prior_cov, found.cov, Q, self.codes.complete, plus, minus,
         )  # fmt: skip
         weight = weight_at(self.codes.anchored, self.codes.weight_Q, self._updates)
-        blend(Q0 if self.codes.anchored else Q, weight, plus, minus, self.codes.fix, new)
+        new = Q.copy()
+        blend(Q0 if self.codes.anchored else Q, weight, plus, minus, self.codes.fix, room, new)
         self.Q_hat = new
 
 
@@ -191,29 +200,42 @@ def weight_at(anchored: bool, b: float, k: int) -> float:
     return 1.0 / (k + 1.0) if b >= 1.0 else (1.0 - b) / (1.0 - math.pow(b, k + 1.0))
 
 
-@borrowing
+@kernel
 def blend(
     old: np.ndarray,
     d: float,
     plus: np.ndarray,
     minus: np.ndarray,
     fix: int,
+    room: np.ndarray,
     new: np.ndarray,
-) -> None:
-    """new (n, n) = (1 - d) old + d (plus - minus) in the form of a row of `FIXES`."""
-    for i in range(old.shape[0]):
-        for j in range(old.shape[0]):
+) -> bool:
+    """new (n, n) = (1 - d) old + d (plus - minus) in the form of a row of `FIXES`.
+
+    Is what came out positive semi-definite?  With "skip" new is left as it was where it is not.
+    new may be old; room (n, n) is overwritten.
+    """
+    n = old.shape[0]
+    for i in range(n):
+        for j in range(n):
             kept = (1.0 - d) * old[i, j]
-            if fix == 0:
-                new[i, j] = kept + d * (plus[i, j] - minus[i, j])
+            if fix == 0 or fix == SKIP:
+                room[i, j] = kept + d * (plus[i, j] - minus[i, j])
             elif i != j:
-                new[i, j] = 0.0 if fix == 2 else kept
+                room[i, j] = 0.0 if fix == 2 else kept
             elif fix == 1:
-                new[i, i] = kept + d * abs(plus[i, i] - minus[i, i])
+                room[i, i] = kept + d * abs(plus[i, i] - minus[i, i])
             elif fix == 2:
-                new[i, i] = abs(kept + d * (plus[i, i] - minus[i, i]))
+                room[i, i] = abs(kept + d * (plus[i, i] - minus[i, i]))
             else:
-                new[i, i] = kept + d * plus[i, i]
+                room[i, i] = kept + d * plus[i, i]
+    definite = is_semidefinite(room)
+    if fix == SKIP and not definite:
+        return True
+    for i in range(n):
+        for j in range(n):
+            new[i, j] = room[i, j]
+    return definite
 
 
 @kernel(fastmath=FAST_SUM)
@@ -252,3 +274,27 @@ def bracket_of_Q(
             plus[i, j] = e[i] * e[j]
             minus[i, j] = s
             plus[j, i], minus[j, i] = plus[i, j], s
+
+
+@kernel
+def is_semidefinite(P: np.ndarray) -> bool:
+    """No pivot of the Cholesky factorisation is below zero by more than rounding."""
+    n = P.shape[0]
+    L = np.zeros((n, n))
+    for j in range(n):
+        s = P[j, j]
+        for i in range(j):
+            s -= L[j, i] * L[j, i]
+        least = _ZERO_PIVOT * n * abs(P[j, j])
+        if not s >= -least:
+            return False
+        L[j, j] = np.sqrt(s) if s > least else 0.0
+        for r in range(j + 1, n):
+            t = P[r, j]
+            for i in range(j):
+                t -= L[r, i] * L[j, i]
+            if s > least:
+                L[r, j] = t / L[j, j]
+            elif t * t > 4.0 * least * abs(P[r, r]):  # no variance, yet a covariance
+                return False
+    return True

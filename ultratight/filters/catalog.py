@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 from ultratight.filters import own
-from ultratight.filters.adaptive import NoiseMemory, SageHusa
+from ultratight.filters.adaptive import SageHusa
 from ultratight.filters.fading import AS_PRINTED, BLOCK, CLAMPED, FITTED, Fading, FadingOptions
 from ultratight.filters.gaussian import (
     Filter,
@@ -25,6 +25,7 @@ from ultratight.filters.gaussian import (
 from ultratight.filters.interval import IntervalQ, VelocityQ, intersect_boxes, intersect_printed
 from ultratight.filters.jump_triggered import IO, J1, JTQ
 from ultratight.filters.multiple_model import IMM3, ImmOptions
+from ultratight.filters.robust import Ishakf
 from ultratight.filters.rules import Rule, get_rule
 from ultratight.filters.square_root import SquareRoot
 
@@ -64,7 +65,7 @@ class Recipe:
     intersect: Callable[[Gaussian, Update], Update] | None = None  # applied to the update
     interval_q: IntervalQ | None = None  # applied before the prediction
     velocity_q: VelocityQ | None = None  # so is this
-    noise: SageHusa | None = None  # R and Q estimated from the innovations
+    noise: SageHusa | Ishakf | None = None  # R and Q from innovations, or R from residuals
     square_root: bool = False  # a triangular factor of P is kept in place of P
     states: int = 17  # 20: with three accelerometer scale factors
     several: Several | None = None  # a bank of hypotheses in place of one Gaussian
@@ -79,6 +80,7 @@ _VRW = "velocity random walk added at all times"
 BY_SCALE = IntervalQ(latency_s=0.0)
 BY_CLOCK = IntervalQ(g_sensitivity_ppb_per_g=1.0)
 _EKF = "extended Kalman filter"
+DUAN = "Duan, Gong, Xu & Zhao, improved Sage-Husa filter for trajectory data; reconstructed"
 WEI = "Wei, Qin, Zhang & Zhang, J. Chinese Inertial Technology 20(6), 2012"
 _IMM = "Blom & Bar-Shalom, IEEE TAC 33 (1988)"
 _JTQ = "relinearised quadrature filter, opened when the measured specific force jumps"
@@ -159,6 +161,15 @@ CATALOG: dict[str, Recipe] = {
     ),
     "kf-sage-husa-r": Recipe(f"{_EKF} of estimated R", WEI, "linearised", noise=SageHusa(Q=False)),
     "kf-sage-husa-q": Recipe(f"{_EKF} of estimated Q", WEI, "linearised", noise=SageHusa(R=False)),
+    "kf-residual-r": Recipe(f"{_EKF} of R estimated from residuals", DUAN, "linearised",
+                            noise=Ishakf(adaptive=False, robust=False)),
+    "kf-residual-forgetting": Recipe(
+        f"{_EKF} of R estimated from residuals, with adaptive forgetting", DUAN, "linearised",
+        noise=Ishakf(robust=False),
+    ),
+    "kf-robust-gain": Recipe(f"{_EKF} whose gain gives way to outliers, per channel", DUAN,
+                             "linearised", noise=Ishakf(R=False, adaptive=False)),
+    "kf-ishakf": Recipe(f"{_EKF} with all three", DUAN, "linearised", noise=Ishakf()),
     "io": Recipe("relinearised quadrature filter, reopened by a score test alone", _SIZES, "gh3",
                  4, several=IO),
 }  # fmt: skip
@@ -172,8 +183,8 @@ class RecipeFilter:
         self.recipe = recipe
         self.rule = get_rule(recipe.rule)
         self.fading = None if recipe.fading is None else Fading(recipe.fading)
+        self.noise = None if recipe.noise is None else recipe.noise.memory()
         self.root = SquareRoot() if recipe.square_root else None
-        self.noise = None if recipe.noise is None else NoiseMemory(recipe.noise)
 
     @property
     def states(self) -> int:

@@ -14,13 +14,23 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from signals.compiled import FAST_SUM, borrowing, kernel
-from ultratight.filters.adaptive import Codes, SageHusa, blend, bracket_of_Q, weight_at
+from ultratight.filters.adaptive import (
+    Codes,
+    SageHusa,
+    blend,
+    bracket_of_Q,
+    is_semidefinite,
+    weight_at,
+)
 from ultratight.filters.conditioning import gain_matrix, predict_into
 from ultratight.filters.gaussian import Gaussian
+from ultratight.filters.robust import Codes as Residuals
+from ultratight.filters.robust import Ishakf, fresh, from_residual, inverse_of, judge, ratio
 
 FIXED = SageHusa(R=False, Q=False)
 """No noise is estimated: the conventional filter"""
-_ZERO_PIVOT = 64 * np.finfo(float).eps  # times the order: pivots below are rounding
+_PREVIOUS = SageHusa(R=False, Q=False, gain="previous")
+_NO_RESIDUALS = Ishakf().codes(on=False)
 
 
 class Epochs(NamedTuple):
@@ -38,12 +48,18 @@ class LinearRun(NamedTuple):
 
     mean: np.ndarray  # (n_epoch, n)
     variance: np.ndarray  # (n_epoch, n), diagonal of P
-    R_variance: np.ndarray  # (n_epoch, m), diagonal of R^
+    R_epoch: np.ndarray  # (n_epoch, m, m) R^
     Q_variance: np.ndarray  # (n_epoch, n), diagonal of Q^
+    weight: np.ndarray  # (n_epoch,) of the gain: 1, less for an outlier, 0 without measurement
     last: Gaussian
     R: np.ndarray  # (m, m) R^ at the end
     Q: np.ndarray  # (n, n) Q^ at the end
     first: Epochs
+
+    @property
+    def R_variance(self) -> np.ndarray:
+        """(n_epoch, m) diagonal of R^."""
+        return np.diagonal(self.R_epoch, axis1=1, axis2=2)
 
 
 def run_linear(
@@ -53,7 +69,7 @@ def run_linear(
     H: ArrayLike,
     R: ArrayLike,
     z: ArrayLike,
-    noise: SageHusa = FIXED,
+    noise: SageHusa | Ishakf = FIXED,
 ) -> LinearRun:
     """Filter z (n_epoch, m); Phi (n_epoch, n, n), or (1, n, n) where it never changes.
 
@@ -87,19 +103,26 @@ def run_linear(
         if value.shape != expected:
             raise ValueError(f"{name}: shape {value.shape}, expected {expected}")
     for name, value, _ in (shapes[0], shapes[1], shapes[3]):
-        if not np.array_equal(value, value.T) or not _is_semidefinite(value):
+        if not np.array_equal(value, value.T) or not is_semidefinite(value):
             raise ValueError(f"{name}: expected a symmetric positive semi-definite matrix")
     seen = np.isfinite(z).all(axis=1)
     torn = np.flatnonzero(~seen & ~np.isnan(z).all(axis=1))
     if torn.size:
         raise ValueError(f"z: row {torn[0]} is {z[torn[0]]}, expected finite numbers or all NaN")
-    mean, variance, R_variance, Q_variance = (np.full((len(z), k), np.nan) for k in (n, n, m, n))
+    mean, variance, Q_variance = (np.full((len(z), n), np.nan) for _ in range(3))
+    R_epoch, weight = np.full((len(z), m, m), np.nan), np.full(len(z), np.nan)
     x, P, Rk, Qk, first = x0.copy(), P0.copy(), R.copy(), Q.copy(), np.full(5, -1)
-    _run(
-        x, P, Phi, Qk, H, Rk, z, seen, noise.codes(), mean, variance, R_variance, Q_variance, first
+    codes, residuals = (
+        (_PREVIOUS.codes(), noise.codes())
+        if isinstance(noise, Ishakf)
+        else (noise.codes(), _NO_RESIDUALS)
     )
+    _run(
+        x, P, Phi, Qk, H, Rk, z, seen, codes, residuals, fresh(residuals.window), mean, variance,
+        R_epoch, Q_variance, weight, first,
+    )  # fmt: skip
     return LinearRun(
-        mean, variance, R_variance, Q_variance, Gaussian(x, P), Rk, Qk,
+        mean, variance, R_epoch, Q_variance, weight, Gaussian(x, P), Rk, Qk,
         Epochs(*(int(k) for k in first)),
     )  # fmt: skip
 
@@ -126,27 +149,31 @@ def _run(
     z: np.ndarray,
     seen: np.ndarray,
     codes: Codes,
+    residuals: Residuals,
+    memory: np.ndarray,
     mean: np.ndarray,
     variance: np.ndarray,
-    R_variance: np.ndarray,
+    R_epoch: np.ndarray,
     Q_variance: np.ndarray,
+    weight: np.ndarray,
     first: np.ndarray,
 ) -> None:
     """All epochs; x, P, Q and R are left as those of the last one."""
     n, m = x.size, H.shape[0]
     Q0, R0, q, r = Q.copy(), R.copy(), np.zeros(n), np.zeros(m)
     x1, M, HM = np.empty(n), np.empty((n, n)), np.empty((m, n))
-    v, HMH, vv, S, R1 = (
+    v, HMH, vv, S, R1, R2 = (
         np.empty(m), np.empty((m, m)), np.empty((m, m)), np.empty((m, m)), np.empty((m, m)),
+        np.empty((m, m)),
     )  # fmt: skip
-    plus, minus = np.empty((n, n)), np.empty((n, n))
+    plus, minus, Q1 = np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
     A, KRK = np.empty((n, n)), np.empty((n, n))
     count = 0
     for k in range(z.shape[0]):
         predict_into(x, P, Phi[k if Phi.shape[0] > 1 else 0], Q, x1, M)
         for i in range(n):
             x1[i] += q[i]
-        updated = False
+        updated, weight[k] = False, 0.0
         if seen[k]:
             count += 1
             d1 = weight_at(codes.anchored, codes.weight_R, count)
@@ -160,10 +187,9 @@ def _run(
                 for b in range(m):
                     vv[a, b] = v[a] * v[b]
                     R1[a, b] = R[a, b]
-            if codes.R:
-                blend(R0 if codes.anchored else R, d1, vv, HMH, codes.fix, R1)
-                if not _is_semidefinite(R1):
-                    _note(first, 0, k)
+            base = R0 if codes.anchored else R
+            if codes.R and not blend(base, d1, vv, HMH, codes.fix, R2, R1):
+                _note(first, 0, k)
             gain_R = R1 if codes.current else R
             for a in range(m):
                 for b in range(m):
@@ -171,6 +197,11 @@ def _run(
             K, log_det = gain_matrix(S, H, M)
             updated = log_det == log_det
             if updated:
+                weight[k] = 1.0
+                if residuals.on:
+                    weight[k] = _by_residual(S, v, R, memory, residuals, K, R1)
+                    if not is_semidefinite(R1):
+                        _note(first, 0, k)
                 _joseph(x1, M, H, K, gain_R, A, KRK, x, P)
                 for i in range(n):
                     s = 0.0
@@ -181,8 +212,7 @@ def _run(
                         q[i] = (1.0 - d2) * q[i] + d2 * (s + q[i])
                 if codes.Q:
                     bracket_of_Q(K, v, HMH, R1, HM, M, P, Q, codes.complete, plus, minus)
-                    blend(Q0 if codes.anchored else Q, d2, plus, minus, codes.fix, Q)
-                    if not _is_semidefinite(Q):
+                    if not blend(Q0 if codes.anchored else Q, d2, plus, minus, codes.fix, Q1, Q):
                         _note(first, 1, k)
             else:
                 _note(first, 3, k)
@@ -194,7 +224,7 @@ def _run(
                 x[i] = x1[i]
                 for j in range(n):
                     P[i, j] = M[i, j]
-        if not _is_semidefinite(P):
+        if not is_semidefinite(P):
             _note(first, 2, k)
         if not _is_finite(x, P, Q):
             _note(first, 4, k)
@@ -202,7 +232,34 @@ def _run(
         for i in range(n):
             mean[k, i], variance[k, i], Q_variance[k, i] = x[i], P[i, i], Q[i, i]
         for a in range(m):
-            R_variance[k, a] = R[a, a]
+            for b in range(m):
+                R_epoch[k, a, b] = R[a, b]
+
+
+@kernel(fastmath=FAST_SUM)
+def _by_residual(
+    S: np.ndarray,
+    v: np.ndarray,
+    R: np.ndarray,
+    memory: np.ndarray,
+    residuals: Residuals,
+    K: np.ndarray,
+    R1: np.ndarray,
+) -> float:
+    """R1 from the residual and K reduced in place; returns by how much."""
+    m = v.size
+    inverse = inverse_of(S)
+    d, w = judge(ratio(inverse, v), memory, residuals)
+    if residuals.R:
+        u = np.zeros(m)
+        for a in range(m):
+            for b in range(m):
+                u[a] += inverse[a, b] * v[b]
+        from_residual(R, inverse, u, d, R1)
+    for i in range(K.shape[0]):
+        for a in range(m):
+            K[i, a] *= w
+    return w
 
 
 @borrowing
@@ -268,30 +325,6 @@ def _joseph(
             A[i, j] = s
             KRK[i, j] = t
     predict_into(x1, M, A, KRK, x, P)
-
-
-@kernel
-def _is_semidefinite(P: np.ndarray) -> bool:
-    """No pivot of the Cholesky factorisation is below zero by more than rounding."""
-    n = P.shape[0]
-    L = np.zeros((n, n))
-    for j in range(n):
-        s = P[j, j]
-        for i in range(j):
-            s -= L[j, i] * L[j, i]
-        least = _ZERO_PIVOT * n * abs(P[j, j])
-        if not s >= -least:
-            return False
-        L[j, j] = np.sqrt(s) if s > least else 0.0
-        for r in range(j + 1, n):
-            t = P[r, j]
-            for i in range(j):
-                t -= L[r, i] * L[j, i]
-            if s > least:
-                L[r, j] = t / L[j, j]
-            elif t * t > 4.0 * least * abs(P[r, r]):  # no variance, yet a covariance
-                return False
-    return True
 
 
 @borrowing
