@@ -37,7 +37,8 @@ class Half:
 
 number = 3
 """
-EXAMPLE = Path(__file__).parents[1] / "studies" / "examples" / "own_filter.py"
+ROOT = Path(__file__).parents[1]
+EXAMPLE = ROOT / "studies" / "examples" / "own_filter.py"
 
 
 @pytest.fixture
@@ -138,6 +139,17 @@ def test_factories_that_make_none_are_refused(filters: dict, words: str) -> None
     with pytest.raises(ultratight.InvalidInput) as refused:
         ultratight.sweep(short("kf"), {"receiver.filter": ["kf"]}, filters=filters)
     assert words in str(refused.value)
+
+
+def test_the_page(tmp_path: Path) -> None:
+    """Its first block is a file that flies: cubature by another name; its last is the example."""
+    blocks = (ROOT / "docs" / "own_filter.md").read_text(encoding="utf-8").split("```python\n")[1:]
+    first, *_, last = (block.partition("```")[0] for block in blocks)
+    (tmp_path / "mine.py").write_text(first)
+    few = ultratight.run(short(f"{tmp_path}/mine.py:FewPoints"), 1)
+    twin = ultratight.run(short("qkf"), 1, filter=make_filter("qkf", rule="cubature-projected"))
+    assert few["v_eb_e"].tolist() == twin["v_eb_e"].tolist()
+    assert last.strip() in EXAMPLE.read_text(encoding="utf-8")
 
 
 def test_the_example(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
