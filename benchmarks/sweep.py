@@ -25,7 +25,9 @@ def groups() -> Iterator[tuple[str, list[Case]]]:
         for seed in range(1, RUNS + 1):
             run(scenario, seed)
 
-    title = f"{RUNS} closed-form runs of {scenario.duration_s:g} s, fiqkf-r, differential, 8 satellites"
+    title = (
+        f"{RUNS} closed-form runs of {scenario.duration_s:g} s: fiqkf-r, differential, 8 channels"
+    )
     yield title, [
         Case("run, one by one", alone, RUNS, "runs/s", 1.0, wall=True),
         Case(
