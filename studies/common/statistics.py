@@ -1,4 +1,8 @@
-"""Medians, counts and paired differences, each with a 95 % interval."""
+"""Medians, counts and paired differences, each with a 95 % interval.
+
+A run that diverged has no number, and counts as an infinite error: `ultratight.statistics.bootstrap`,
+which leaves such runs out, would make a filter that diverges look good.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +10,9 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from scipy import stats
 
 from common.ledger import Must, Quantity
+from ultratight.statistics import wilson
 
 LEVEL = 0.95
 RESAMPLES = 2000
@@ -21,8 +25,8 @@ def count(name: str, hits: np.ndarray, must: Must | None = None) -> Quantity:
         return Quantity(name, None, None, None, "of 0", must)
     if must is not None:
         must = replace(must, bound=round(n * must.bound, 6))
-    interval = stats.binomtest(k, n).proportion_ci(LEVEL, method="wilson")
-    return Quantity(name, k, n * interval.low, n * interval.high, f"of {n}", must)
+    share = wilson(k, n, LEVEL)
+    return Quantity(name, k, n * share.low, n * share.high, f"of {n}", must)
 
 
 def typical(name: str, values: np.ndarray, unit: str, must: Must | None = None) -> Quantity:
