@@ -1,7 +1,7 @@
 """Medians, counts and paired differences, each with a 95 % interval.
 
-A run that diverged has no number, and counts as an infinite error: `ultratight.statistics.bootstrap`,
-which leaves such runs out, would make a filter that diverges look good.
+A run that diverged has no number, and counts as an infinite error; to leave it out, as
+`ultratight.statistics.bootstrap` does, would make a filter that diverges look good.
 """
 
 from __future__ import annotations
