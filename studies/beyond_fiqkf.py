@@ -22,7 +22,7 @@ from common.figures import heat_map
 from common.ledger import Claim, Must, Quantity
 from common.motions import turns, vibration, window
 from common.statistics import count, number, typical
-from common.worlds import MATCHED, MECHANISMS, MODELS, filters, mechanisms
+from common.worlds import FILTERS, MATCHED, MECHANISMS, MODELS, filters, mechanisms
 from joblib import Parallel, delayed
 from matplotlib.figure import Figure
 
@@ -34,6 +34,7 @@ PLAN = tomllib.loads((HOME / "beyond_fiqkf.toml").read_text())
 RUNS, SEED = PLAN["runs"], PLAN["first_seed"]
 GRID, OUTSIDE, BARS = PLAN["grid"], PLAN["envelope"], PLAN["bars"]
 CASES = tuple(GRID["cases"])
+(BEST,) = GRID["filters"]
 C = {"C": MODELS["C"]}
 
 
@@ -51,8 +52,8 @@ def envelope() -> dict[str, dict[str, object]]:
 
 RECEIVERS = {
     "QKF, D": MODELS["D"] | {"receiver.filter": "qkf"},
-    "JTQ, C": MODELS["C"] | {"receiver.filter": "jtq"},
-    "JTQ, C, fall-back": MODELS["C"] | {"receiver.filter": "jtq", "receiver.fall_back": True},
+    "JTQ-R, C": MODELS["C"] | {"receiver.filter": "jtq-r"},
+    "JTQ-R, C, fall-back": MODELS["C"] | {"receiver.filter": "jtq-r", "receiver.fall_back": True},
 }
 ABLATED = {
     "QKF, 4 passes": partial(make_filter, "qkf3", iterations=4),
@@ -72,6 +73,10 @@ def _campaigns() -> dict[str, Campaign]:
         preset = f"jump-{case}"
         over = {"model": models, "mechanism": grid, "filter": filters(*GRID["filters"])}
         made[f"case-{case}"] = Campaign(preset, over, RUNS, SEED)
+        if case in PLAN["prototype"]["cases"]:
+            over = over | {"filter": filters(*PLAN["prototype"]["filters"])}
+            runs = PLAN["prototype"]["runs"]
+            made[f"case-{case}-prototype"] = Campaign(preset, over, runs, SEED)
         baseline = plain | {"mechanism": mechanisms("none")}
         made[f"case-{case}-qkf"] = Campaign(preset, baseline, RUNS, SEED)
     harmless = mechanisms(*PLAN["harmless"]["mechanisms"])
@@ -96,7 +101,7 @@ def _campaigns() -> dict[str, Campaign]:
     samples = {"samples": {"correlator.kind": "samples"}}
     made["samples"] = Campaign(
         "jump-2",
-        {"model": C, "mechanism": grid, "correlator": samples, "filter": filters("JTQ")},
+        {"model": C, "mechanism": grid, "correlator": samples, "filter": filters(BEST)},
         1,
         SEED,
         weight=12.0,
@@ -128,7 +133,7 @@ def main() -> None:
 
 def draw_grid(study: Study, flown: dict[str, xr.Dataset]) -> None:
     """Mechanism by model and case."""
-    columns = {(m, c): flown[f"case-{c}"].sel(model=m, filter="JTQ") for m in MODELS for c in CASES}
+    columns = {(m, c): flown[f"case-{c}"].sel(model=m, filter=BEST) for m in MODELS for c in CASES}
     jump = np.column_stack([d["jump"].fillna(np.inf).median("run") for d in columns.values()])
     hits = np.column_stack([d["converged"].sum("run") for d in columns.values()])
     nees = np.column_stack([d["nees"].fillna(np.inf).median("run") for d in columns.values()])
@@ -142,7 +147,7 @@ def draw_grid(study: Study, flown: dict[str, xr.Dataset]) -> None:
     heat_map(ax, jump, notes, GRID["mechanisms"], names, (0.005, 1.0))
     n_run = next(iter(columns.values())).sizes["run"]
     ax.set_title(
-        "JTQ: velocity error in the jump (median r.m.s., m/s); below it, how many of "
+        f"{BEST}: velocity error in the jump (median r.m.s., m/s); below it, how many of "
         f"{n_run} runs converged,\nand N, the median velocity NEES over that of chi-square",
         fontsize=9.0,
     )
@@ -186,7 +191,7 @@ def least(name: str, values: xr.DataArray, must: Must) -> Quantity:
 
 def grid(flown: dict[str, xr.Dataset], model: str, case: str) -> Claim:
     """One case and model, all mechanisms, against the bars."""
-    ds = flown[f"case-{case}"].sel(model=model, filter="JTQ")
+    ds = flown[f"case-{case}"].sel(model=model, filter=BEST)
     qkf = flown[f"case-{case}-qkf"].sel(model=model, filter="QKF", mechanism="none")
     others = [m for m in GRID["mechanisms"] if not m.startswith("saturation")]
     low, high = BARS["nees"]
@@ -201,7 +206,7 @@ def grid(flown: dict[str, xr.Dataset], model: str, case: str) -> Claim:
                                 Must("below", BARS["steady"])))  # fmt: skip
     return Claim(
         id=f"beyond-{model}-{case}",
-        claim=f"JTQ, model {model}, case {case}: every mechanism within the bars",
+        claim=f"{BEST}, model {model}, case {case}: every mechanism within the bars",
         source="this project's aim",
         theirs=f"≥ 49 of 50, jump ≤ {jump.bound} m/s, NEES in [0.5, 2], steady ≤ 2 × QKF",
         ours=(
@@ -222,7 +227,10 @@ WHY: dict[tuple[str, str], str] = {}
 
 def all_converge(flown: dict[str, xr.Dataset]) -> Claim:
     """The prototype's count."""
-    hits = [flown[f"case-{c}"]["converged"].sel(filter="JTQ").values.ravel() for c in "124"]
+    hits = [
+        flown[f"case-{c}-prototype"]["converged"].sel(filter="JTQ").values.ravel()
+        for c in PLAN["prototype"]["cases"]
+    ]
     return Claim(
         id="beyond-all-converge",
         claim="JTQ converges in every run: 8 mechanisms, cases 1, 2 and 4, models C and D",
@@ -249,7 +257,8 @@ OPENED = {
 
 def beside_the_bound(flown: dict[str, xr.Dataset]) -> list[Claim]:
     """Model C, case 2: the prototype's 90th percentile, and the bound."""
-    ds = flown["case-2"]["jump"].sel(model="C", filter="JTQ")
+    ds = flown["case-2-prototype"]["jump"].sel(model="C", filter="JTQ")
+    best = flown["case-2"]["jump"].sel(model="C", filter=BEST)
     u = lines_of_sight()
     claims = []
     for k, (name, limit) in enumerate(PROTOTYPE.items()):
@@ -275,11 +284,11 @@ def beside_the_bound(flown: dict[str, xr.Dataset]) -> list[Claim]:
 
 def harmless(flown: dict[str, xr.Dataset]) -> Claim:
     """Misalignment and the gyro's g-dependence."""
-    ds = flown["harmless"].sel(filter="JTQ")
+    ds = flown["harmless"].sel(filter=BEST)
     bars = {"C": BARS["jump_C_mps"], "D": BARS["jump_D_mps"]}
     return Claim(
         id="beyond-harmless",
-        claim="JTQ is no worse for errors that break no lock: misalignment, gyro g-dependence",
+        claim=f"{BEST} is no worse for errors that break no lock: misalignment, gyro g-dependence",
         source="this project's aim",
         theirs="the same bars, case 2",
         ours=(
@@ -297,14 +306,14 @@ def price(flown: dict[str, xr.Dataset]) -> Claim:
     """What JTQ costs where nothing is wrong."""
     quantities = []
     for model in GRID["models"]:
-        jtq = flown["case-2"]["jump"].sel(model=model, filter="JTQ", mechanism="none")
+        jtq = flown["case-2"]["jump"].sel(model=model, filter=BEST, mechanism="none")
         qkf = flown["case-2-qkf"]["jump"].sel(model=model, filter="QKF", mechanism="none")
-        quantities.append(typical(f"JTQ / QKF, {model}", (jtq / qkf).values, "",
+        quantities.append(typical(f"{BEST} / QKF, {model}", (jtq / qkf).values, "",
                                   Must("below", 5.0)))  # fmt: skip
-        quantities.append(typical(f"JTQ, {model}", jtq.values, "m/s"))
+        quantities.append(typical(f"{BEST}, {model}", jtq.values, "m/s"))
     return Claim(
         id="beyond-price",
-        claim="With a perfect IMU JTQ pays in the jump: up to five times the QKF's error",
+        claim=f"With a perfect IMU {BEST} pays in the jump: up to five times the QKF's error",
         source="independent prototype, case 2",
         theirs="C: 0.014 against 0.004 m/s; D: 0.145 against 0.092 m/s",
         ours=tuple(quantities),
@@ -383,7 +392,7 @@ def relatives(flown: dict[str, xr.Dataset]) -> list[Claim]:
 
 def clock_free(flown: dict[str, xr.Dataset]) -> Claim:
     """A clock jump costs the velocity nothing."""
-    ds = flown["case-2"]["jump"].sel(model="C", filter="JTQ")
+    ds = flown["case-2-prototype"]["jump"].sel(model="C", filter="JTQ")
     ratio = (ds.sel(mechanism="TCXO 1 ppb/g") / ds.sel(mechanism="none")).values
     return Claim(
         id="beyond-clock-free",
@@ -401,7 +410,7 @@ def false_alarms(study: Study) -> Claim:
     quantities = []
     for model, change in MODELS.items():
         for preset in ("uniform", "jump-2"):
-            scenario = ultratight.load(preset, MATCHED | change | {"receiver.filter": "jtq"})
+            scenario = ultratight.load(preset, MATCHED | change | FILTERS[BEST])
             fired = Parallel(study.jobs or -1)(
                 delayed(fires)(scenario, seed) for seed in range(SEED, SEED + n)
             )
@@ -424,12 +433,12 @@ def fires(scenario: ultratight.Scenario, seed: int) -> int:
 
 def from_samples(flown: dict[str, xr.Dataset]) -> Claim:
     """IF samples, one seed of every mechanism."""
-    samples = flown["samples"].isel(correlator=0, run=0).sel(model="C", filter="JTQ")
-    model = flown["case-2"].isel(run=0).sel(model="C", filter="JTQ")
+    samples = flown["samples"].isel(correlator=0, run=0).sel(model="C", filter=BEST)
+    model = flown["case-2"].isel(run=0).sel(model="C", filter=BEST)
     ratio = (samples["jump"] / model["jump"].sel(mechanism=samples["mechanism"])).values
     return Claim(
         id="beyond-samples",
-        claim="From IF samples JTQ does as well as in closed form, in every mechanism",
+        claim=f"From IF samples {BEST} does as well as in closed form, in every mechanism",
         source="this project's aim",
         theirs="one seed of every mechanism, model C, case 2",
         ours=(
@@ -465,7 +474,7 @@ def graceful(ds: xr.Dataset) -> list[Claim]:
         claims.append(
             Claim(
                 id=f"beyond-outside-{k + 1}",
-                claim=f"Outside the envelope, {cell}: JTQ at most 20 % worse than QKF in model D",
+                claim=f"Outside the envelope, {cell}: {BEST} at most 20 % worse than QKF in model D",
                 source="this project's aim",
                 theirs="fails gracefully",
                 ours=tuple(quantities),
@@ -476,7 +485,7 @@ def graceful(ds: xr.Dataset) -> list[Claim]:
     return claims
 
 
-SHIPPED = "JTQ, C, fall-back"
+SHIPPED = f"{BEST}, C, fall-back"
 
 
 if __name__ == "__main__":

@@ -25,7 +25,7 @@ DURATION_S, SETTLED_S, LOSS = 15.0, 5.0, 0.1
 RUNS, FIRST_SEED = 6, 501
 WORLD = MATCHED | {"duration_s": DURATION_S, "jump_window_s": [SETTLED_S, DURATION_S]}
 LOOPS = ("scalar", "scalar-ins")
-SHOWN = ("scalar", "scalar-ins", "C kf", "C qkf", "C fiqkf-r", "C jtq", "D qkf", "D fiqkf-r")
+SHOWN = ("scalar", "scalar-ins", "C kf", "C qkf", "C fiqkf-r", "C jtq-r", "D qkf", "D fiqkf-r")
 
 
 def receivers() -> dict[str, dict[str, object]]:

@@ -21,13 +21,13 @@ from common.worlds import CAUSE_OFF, MODELS, filters
 
 CASES = ("1", "2", "3", "4")
 ONE = ("KF", "QKF", "FIQKF", "FIQKF-R", "FIQKF-C", "QKF+intQ", "20-state", "QKF+vrw")
-SEVERAL = ("IMM2", "JTQ")
+SEVERAL = ("IMM2", "JTQ", "JTQ-R")
 """Filters with one Gaussian, and with several hypotheses"""
 GROUPS = (("KF", "QKF"), ("FIQKF", "FIQKF-R"), ("FIQKF-C", "QKF+intQ"), ("20-state", "QKF+vrw"),
-          ("IMM2", "JTQ"))  # fmt: skip
+          ("IMM2", "JTQ", "JTQ-R"))  # fmt: skip
 ON = {"C": MODELS["C"], "D": MODELS["D"] | {"imu.accel_scale_factor_ppm": [5000.0, 0.0, 0.0]}}
 OFF = {name: change | CAUSE_OFF for name, change in MODELS.items()}
-FEW = ("QKF", "FIQKF-R", "JTQ")
+FEW = ("QKF", "FIQKF-R", "JTQ-R")
 
 ON_RUNS, OFF_RUNS, FALL_BACK_RUNS = 50, 10, 10
 
@@ -206,6 +206,7 @@ RIVALS = {
     "FIQKF-C": ("fading of all states, clamped at the first covariance", 0.050),
     "IMM2": ("two models, no knowledge of the cause", 0.039),
     "JTQ": ("jump-triggered quadrature filter, no knowledge of the cause", 0.015),
+    "JTQ-R": ("JTQ made robust, no knowledge of the cause", 0.015),
 }
 """Label -> what it is, and the prototype's error in the jump of case 2 (case 1 for the first three)
 in model C [m/s]"""

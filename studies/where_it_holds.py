@@ -20,12 +20,12 @@ from matplotlib.figure import Figure
 
 PPM = (0, 1000, 2000, 3000, 5000, 10_000, 20_000)
 CN0 = (45, 35, 28)
-MAPPED = {"one": ("QKF", "FIQKF-R", "QKF+intQ", "20-state"), "several": ("JTQ",)}
+MAPPED = {"one": ("QKF", "FIQKF-R", "QKF+intQ", "20-state"), "several": ("JTQ-R",)}
 CAUSES = ("none", "scale factor 3000 ppm", "misalignment 1 mrad", "gyro 10 deg/h/g", "lag 10 ms",
           "saturation 10 g", "TCXO 1 ppb/g", "OCXO 1 ppb/g", "combined")  # fmt: skip
 LABELS = {
     "one": ("QKF", "FIQKF-R", "QKF+intQ", "20-state"),
-    "several": ("IMM2", "JTQ"),
+    "several": ("IMM2", "JTQ-R"),
 }
 RUNS = 20
 

@@ -27,6 +27,7 @@ FILTERS: dict[str, Change] = {
     "IMM2": {"receiver.filter": "imm2"},
     "JTQ": {"receiver.filter": "jtq"},
     "JTQ-E": {"receiver.filter": "jtq-e"},
+    "JTQ-R": {"receiver.filter": "jtq-r"},
     "J1": {"receiver.filter": "j1"},
     "IO": {"receiver.filter": "io"},
 }
