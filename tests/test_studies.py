@@ -1,4 +1,5 @@
-"""Studies: what they are made of, and the command that runs what it finds."""
+"""Studies: the ledger's verdicts follow from its numbers, the page from the ledger, and the command
+runs what it finds."""
 
 from __future__ import annotations
 
@@ -16,6 +17,7 @@ from ultratight import study
 from ultratight.__main__ import main
 
 STUDIES = Path(__file__).parents[1] / "studies"
+ROWS = json.loads((STUDIES / "ledger.json").read_text())
 SCRIPTS = sorted(path.stem for path in STUDIES.glob("*.py"))
 
 
@@ -44,6 +46,64 @@ def toy(tmp_path: Path) -> Path:
     (tmp_path / "studies" / "second.py").write_text(f'"""Fails."""\n{head}sys.exit(3)\n')
     (tmp_path / "studies" / "helper.py").write_text("x = 1\n")
     return tmp_path
+
+
+# -- the committed ledger -------------------------------------------------------------------------
+
+
+def test_verdicts_follow_from_numbers_and_conditions(common) -> None:
+    """By hand here, apart from the code that wrote them."""
+    words = {(False, True): "reproduced", (True, True): "met", (True, False): "not met"}
+    for row in ROWS:
+        stands = True
+        judged = [q for q in row["ours"] if q["must"]]
+        for q in judged:
+            kind, bound, value = q["must"]["kind"], q["must"]["bound"], q[q["must"]["on"]]
+            stands &= {
+                "above": lambda v=value, b=bound: v is not None and v >= b,
+                "below": lambda v=value, b=bound: v is not None and v <= b,
+                "within": lambda v=value, b=bound: v is not None and b[0] <= v <= b[1],
+                "covers": lambda q=q, b=bound: (
+                    None not in (q["low"], q["high"]) and q["low"] <= b <= q["high"]
+                ),
+            }[kind]()
+        expected = words.get((row["target"], stands), "not reproduced")
+        if expected == "reproduced" and row["change"]:
+            expected = "reproduced with a stated change"
+        assert judged, row["id"]
+        assert row["verdict"] == expected == common("ledger").verdict(row), row["id"]
+
+
+def test_ledger_is_complete(common) -> None:
+    """Ids are unique, intervals hold their values, nothing is quick."""
+    assert {row["study"] for row in ROWS} <= set(SCRIPTS)
+    ids = [row["id"] for row in ROWS]
+    assert len(set(ids)) == len(ids)
+    for row in ROWS:
+        assert not row["quick"], row["id"]
+        assert row["command"] == f"ultratight study {row['study']}"
+        assert row["claim"]
+        assert row["theirs"]
+        assert row["why"], row["id"]
+        for q in row["ours"]:
+            if q["value"] is not None and None not in (q["low"], q["high"]):
+                assert q["low"] - 1e-12 <= q["value"] <= q["high"] + 1e-12, (row["id"], q)
+
+
+def test_page_shows_the_ledger(common) -> None:
+    ledger = common("ledger")
+    page = (STUDIES / "README.md").read_text()
+    table = page.partition(ledger.BEGIN)[2].partition(ledger.END)[0]
+    assert table == "\n" + ledger.markdown(ROWS)
+
+
+def test_page_shows_figures_that_are_there_and_small() -> None:
+    page = (STUDIES / "README.md").read_text()
+    figures = sorted((STUDIES / "figures").glob("*.png"))
+    assert figures
+    for path in figures:
+        assert f"figures/{path.name}" in page
+        assert path.stat().st_size < 200_000, path
 
 
 # -- what it is made of ---------------------------------------------------------------------------
