@@ -1,0 +1,194 @@
+"""UD form: the same filter in double precision, and a better one in single."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from ultratight.filters.factored import FORMS, Factored
+from ultratight.filters.gaussian import Gaussian, predict, update
+from ultratight.filters.rules import RULES
+from ultratight.filters.ud import condition_ud, cov_ud, factor_ud, predict_ud
+
+
+def ud():
+    return Factored(FORMS["ud"])
+
+
+@pytest.mark.nojit
+def test_factor_is_the_one_of_rational_arithmetic():
+    """P = U D U' of small whole numbers, by hand (Bierman 1977, III.4, upper triangular)."""
+    U = np.array([[1.0, 2.0, -3.0], [0.0, 1.0, 5.0], [0.0, 0.0, 1.0]])
+    D = np.array([7.0, 0.5, 2.0])
+    F = factor_ud(U @ np.diag(D) @ U.T)
+    np.testing.assert_array_equal(np.diag(F), D)
+    np.testing.assert_array_equal(F - np.diag(np.diag(F)), U - np.eye(3))
+    np.testing.assert_array_equal(cov_ud(F), U @ np.diag(D) @ U.T)
+
+
+@pytest.mark.nojit
+def test_prediction_is_the_plain_one(make):
+    rng = np.random.default_rng(2)
+    n = 7
+    P = make.random_cov(rng, n)
+    phi = np.eye(n) + 0.3 * rng.standard_normal((n, n))
+    half = rng.standard_normal((n, 3))
+    for q in (half @ half.T, np.diag([1.0, 0, 0, 2.0, 0, 0, 0]), np.zeros((n, n))):
+        found = cov_ud(predict_ud(factor_ud(P), phi, q))
+        np.testing.assert_allclose(found, phi @ P @ phi.T + q, rtol=1e-11, atol=1e-12)
+
+
+@pytest.mark.nojit
+@pytest.mark.parametrize("name", ["linearised", "gh5"])
+@pytest.mark.parametrize("iterations", [1, 3])
+def test_the_pair_is_the_plain_pair(make, name, iterations):
+    """Correlated noise in every block, several iterations, curved h: the same figures."""
+    state, measurement = make.problem("phase", 5, nb=4, n=7, scale=0.4)
+    phi, q = np.eye(7) + 0.05 * np.eye(7, k=1), 1e-3 * np.eye(7)
+    pair, rule = ud(), RULES[name]
+    prior, plain = pair.predict(state, phi, q), predict(state, phi, q)
+    np.testing.assert_allclose(prior.mean, plain.mean, rtol=1e-14)
+    np.testing.assert_allclose(prior.cov, plain.cov, rtol=1e-12)
+    found, expected = (
+        pair.update(prior, measurement, rule, iterations),
+        update(plain, measurement, rule, iterations),
+    )
+    for key in ("mean", "cov", "innovation", "nis", "S", "gain", "log_likelihood"):
+        a, b = getattr(found, key), getattr(expected, key)
+        np.testing.assert_allclose(a, b, rtol=1e-10, atol=1e-11, err_msg=key)
+
+
+@pytest.mark.nojit
+def test_no_measurement_leaves_the_prediction(make):
+    state, measurement = make.problem("phase", 5, nb=2, n=7, scale=0.4)
+    none = measurement._replace(z=measurement.z[:0], A=measurement.A[:0], R=measurement.R[:0])
+    found = ud().update(state, none, RULES["linearised"])
+    np.testing.assert_array_equal(found.cov, state.cov)
+    assert found.nis == 0.0
+
+
+def exact_posterior(P, H, R):
+    """P - P H' (H P H' + diag R)^-1 H P, row after row, in rational numbers."""
+    P = [[Fraction(float(x)) for x in row] for row in P]
+    n = len(P)
+    for row, r in zip(H, R, strict=True):
+        h = [Fraction(float(x)) for x in row]
+        Ph = [sum(P[i][j] * h[j] for j in range(n)) for i in range(n)]
+        s = sum(h[i] * Ph[i] for i in range(n)) + Fraction(float(r))
+        P = [[P[i][j] - Ph[i] * Ph[j] / s for j in range(n)] for i in range(n)]
+    return np.array([[float(x) for x in row] for row in P])
+
+
+@pytest.mark.nojit
+@pytest.mark.parametrize("r", [1.0, 0.0])
+def test_exact_measurements(r):
+    """Also a noise of zero, after which nothing is left of that direction; against rationals."""
+    P = np.array([[4.0, 1.0, 0.5], [1.0, 3.0, 0.0], [0.5, 0.0, 2.0]])
+    H, noise = np.array([[1.0, 2.0, 0.0], [0.0, 1.0, -1.0]]), np.array([0.0, r])
+    F, mean = factor_ud(P), np.zeros(3)
+    nis = condition_ud(mean, F, np.array([1.0, 2.0]), H, noise[:, None, None])
+    expected = exact_posterior(P, H, noise)
+    np.testing.assert_allclose(cov_ud(F), expected, atol=1e-14)
+    assert H[0] @ mean == pytest.approx(1.0, abs=1e-14)
+    S = H @ P @ H.T + np.diag(noise)
+    assert nis == pytest.approx([1.0, 2.0] @ np.linalg.solve(S, [1.0, 2.0]), rel=1e-13)
+    # the same number once more says nothing, and breaks nothing
+    again, later = F.copy(), mean.copy()
+    condition_ud(later, again, np.array([0.0]), H[:1], np.zeros((1, 1, 1)))
+    np.testing.assert_allclose(cov_ud(again), expected, atol=1e-14)
+    np.testing.assert_allclose(later, mean, atol=1e-13)
+
+
+@pytest.mark.nojit
+def test_singular_noise_of_a_block(make):
+    """Two numbers with one noise between them: their difference is known exactly."""
+    rng = np.random.default_rng(3)
+    P, H = make.random_cov(rng, 4), rng.standard_normal((2, 4))
+    R = np.full((1, 2, 2), 0.3)
+    F, mean = factor_ud(P), np.zeros(4)
+    condition_ud(mean, F, np.array([0.5, -0.25]), H, R)
+    K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R[0])
+    np.testing.assert_allclose(cov_ud(F), P - K @ H @ P, atol=1e-13)
+    np.testing.assert_allclose(mean, K @ [0.5, -0.25], atol=1e-13)
+
+
+@pytest.mark.nojit
+def test_single_precision_stays_definite_where_joseph_does_not():
+    """Two nearly collinear, very exact measurements (Grewal & Andrews, 3rd ed., example 6.2)."""
+    delta = 2e-4
+    H = np.array([[1.0, 1.0, 1.0], [1.0, 1.0, 1.0 + delta]], np.float32)
+    P, r = np.eye(3, dtype=np.float32), np.float32(delta**2)
+    expected = exact_posterior(P, H, [r, r])
+
+    S = H @ P @ H.T + r * np.eye(2, dtype=np.float32)
+    K = np.linalg.solve(S, H @ P).T
+    assert S.dtype == K.dtype == np.float32
+    short = P - K @ S @ K.T
+    assert np.linalg.eigvalsh(short.astype(float))[0] < 0.0
+    left = np.eye(3, dtype=np.float32) - K @ H
+    joseph = left @ P @ left.T + r * K @ K.T
+    assert abs(joseph - expected).max() > 0.5 * abs(expected).max()
+
+    F, mean = P.copy(), np.zeros(3, np.float32)
+    condition_ud(mean, F, np.zeros(2, np.float32), H, np.full((2, 1, 1), r, np.float32))
+    assert F.dtype == np.float32
+    found = cov_ud(F.astype(float))
+    least = np.linalg.eigvalsh(expected)[0]
+    assert np.linalg.eigvalsh(found)[0] == pytest.approx(least, rel=0.05)
+    np.testing.assert_allclose(found, expected, atol=2e-3 * np.abs(expected).max())
+
+
+def test_single_precision_over_a_thousand_epochs():
+    """Position observed to 1 mm, a rate driven by 1e-4: single against double, relative."""
+    phi = np.array([[1.0, 0.02], [0.0, 1.0]])
+    q = 1e-8 * 0.02 * np.array([[0.02**2 / 3, 0.02 / 2], [0.02 / 2, 1.0]])
+    H, noise = np.array([[1.0, 0.0]]), np.full((1, 1, 1), 1e-6)
+    found = []
+    for kind in (np.float64, np.float32):
+        F, mean = np.diag([1e6, 1e4]).astype(kind), np.zeros(2, kind)
+        for _ in range(1000):
+            F = predict_ud(F, phi, q)
+            assert F.dtype == kind
+            condition_ud(mean, F, np.zeros(1, kind), H.astype(kind), noise.astype(kind))
+            assert np.all(np.diag(F) >= 0.0)
+        found.append(cov_ud(F.astype(float)))
+    np.testing.assert_allclose(found[1], found[0], rtol=2e-3)
+
+
+def test_covariances_of_others_are_factored_anew(make):
+    """At a hand-over the receiver makes its own covariance: a kept factor must not be used."""
+    state, measurement = make.problem("phase", 3, nb=4, n=7, scale=0.3)
+    used, rule, phi, q = ud(), RULES["gh5"], np.eye(7), 1e-4 * np.eye(7)
+
+    def step(pair, state):
+        return pair.update(pair.predict(state, phi, q), measurement, rule)
+
+    first = step(used, state)
+    kept = step(used, Gaussian(state.mean, first.cov))
+    again = step(ud(), Gaussian(state.mean, first.cov.copy()))
+    np.testing.assert_allclose(kept.cov, again.cov, atol=1e-13)
+    wider = Gaussian(state.mean, 4.0 * first.cov)
+    np.testing.assert_array_equal(step(used, wider).cov, step(ud(), wider).cov)
+
+
+@pytest.mark.nojit
+def test_refusals(make):
+    state, measurement = make.problem("phase", 3, nb=2, n=4, scale=0.3)
+    rule, eye = RULES["gh3"], np.eye(4)
+    with pytest.raises(ValueError, match="iterations: 0"):
+        ud().update(state, measurement, rule, 0)
+    with pytest.raises(ValueError, match="block-diagonal"):
+        ud().update(state, measurement, RULES["cubature"])
+    nan, inf = np.full((4, 4), np.nan), np.diag([1.0, np.inf, 1.0, 1.0])
+    for bad in (-state.cov, nan, inf, np.triu(np.ones((4, 4))), np.array([[0.0, 1], [1, 1.0]])):
+        with pytest.raises(ValueError, match="positive semi-definite"):
+            ud().predict(
+                Gaussian(np.zeros(len(bad)), bad), np.eye(len(bad)), 0.0 * np.eye(len(bad))
+            )
+    for phi, q in ((eye, -eye), (eye, nan), (eye, inf), (nan, eye)):
+        with pytest.raises(ValueError, match="Phi, Q: expected finite"):
+            ud().predict(state, phi, q)
+    for change in ({"R": -measurement.R}, {"R": np.nan * measurement.R},
+                   {"z": np.nan * measurement.z}):  # fmt: skip
+        with pytest.raises(ValueError, match="z, R: expected finite"):
+            ud().update(state, measurement._replace(**change), rule)
