@@ -183,12 +183,13 @@ def test_closed_form_moments_fly_as_343_points_do():
     )
 
 
-def test_square_root_form_flies_as_the_plain_one_does():
+@pytest.mark.parametrize("form", ["qkf-sqrt", "qkf-ud"])
+def test_factors_fly_as_the_plain_form_does(form):
     """50 s: estimates within a thousandth of a sigma, sigmas to 1e-6; only rounding is between.
 
     P spans 25 m2 to some 1e-6 m2 (phases): the plain form keeps eight digits of the latter.
     """
-    plain, root = (flown("uniform", name, 1) for name in ("qkf", "qkf-sqrt"))
+    plain, root = (flown("uniform", name, 1) for name in ("qkf", form))
     kinds = [[(e.kind, e.t_s) for e in run.events] for run in (plain, root)]
     assert kinds[0] == kinds[1]
     sigma, other = (

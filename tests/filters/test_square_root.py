@@ -6,16 +6,15 @@ import numpy as np
 import pytest
 
 from ultratight.filters.catalog import make_filter
+from ultratight.filters.factored import make_pair
 from ultratight.filters.gaussian import Gaussian, predict, update
 from ultratight.filters.reference import condition_root_reference, predict_root_reference
 from ultratight.filters.rules import RULES
 from ultratight.filters.square_root import (
-    SquareRoot,
     condition_root,
     first_root,
     predict_root,
     triangle,
-    update_root,
 )
 
 
@@ -45,12 +44,10 @@ def test_columns_without_anything_stay_empty():
 def test_it_is_the_plain_update(make, name, iterations):
     state, measurement = make.problem("phase", 5, nb=4, n=7, scale=0.4)
     plain = update(state, measurement, RULES[name], iterations)
-    root = np.linalg.cholesky(state.cov)
-    found, factor = update_root(state.mean, root, measurement, RULES[name], iterations)
+    found = make_pair("square-root").update(state, measurement, RULES[name], iterations)
     for key in ("mean", "cov", "innovation", "nis", "S", "gain", "log_likelihood"):
         a, b = getattr(found, key), getattr(plain, key)
         np.testing.assert_allclose(a, b, rtol=1e-10, atol=1e-11, err_msg=key)
-    np.testing.assert_array_equal(factor, np.tril(factor))
 
 
 def test_kernels_are_the_reference_arrays(make):
@@ -62,10 +59,9 @@ def test_kernels_are_the_reference_arrays(make):
     half = rng.standard_normal((n, 4))
     q = half @ half.T  # of rank 4, as a clock's noise is
     mean = rng.standard_normal(n)
-    m1, L1 = predict_root(mean, root, phi, q)
+    m1, L1 = phi @ mean, predict_root(root, phi, q)
     expected = predict_root_reference(root, phi, half)
     np.testing.assert_allclose(L1 @ L1.T, expected @ expected.T, rtol=1e-12, atol=1e-11)
-    np.testing.assert_allclose(m1, phi @ mean)
     plain = predict(Gaussian(mean, root @ root.T), phi, q)
     np.testing.assert_allclose(L1 @ L1.T, plain.cov, rtol=1e-12, atol=1e-11)
 
@@ -126,7 +122,7 @@ def test_single_precision_over_a_thousand_epochs():
     for kind in (np.float64, np.float32):
         L, mean = np.diag([1e3, 1e2]).astype(kind), np.zeros(2, kind)
         for _ in range(1000):
-            _, L = predict_root(mean, L, phi, q)
+            L = predict_root(L, phi, q)
             assert L.dtype == kind
             condition_root(mean, L, np.zeros(1, kind), H.astype(kind), noise.astype(kind))
         roots.append(L.astype(float))
@@ -144,21 +140,6 @@ def test_single_precision_over_a_thousand_epochs():
     assert worst <= 0.0
 
 
-def test_a_covariance_of_others_is_factored_anew(make):
-    """At a hand-over the receiver makes its own covariance: the kept factor must not be used."""
-    state, measurement = make.problem("phase", 3, nb=4, n=7, scale=0.3)
-    step = make.prediction(7, 4, np.eye(7), 1e-4 * np.eye(7), layout_=None)
-    used, fresh = SquareRoot(), SquareRoot()
-    rule = RULES["gh5"]
-    first = used.step(state, step, measurement, rule)
-    kept = used.step(Gaussian(state.mean, first.cov), step, measurement, rule)
-    again = fresh.step(Gaussian(state.mean, first.cov.copy()), step, measurement, rule)
-    np.testing.assert_allclose(kept.cov, again.cov, atol=1e-13)
-    wider = Gaussian(state.mean, 4.0 * first.cov)
-    a, b = (f.step(wider, step, measurement, rule) for f in (used, SquareRoot()))
-    np.testing.assert_array_equal(a.cov, b.cov)
-
-
 @pytest.mark.nojit
 def test_a_state_without_variance_is_no_obstacle():
     """The clock's noise of an epoch starts at zero; so do correlations of one."""
@@ -171,9 +152,6 @@ def test_a_state_without_variance_is_no_obstacle():
 @pytest.mark.nojit
 def test_refusals(make):
     state, measurement = make.problem("phase", 3, nb=2, n=4, scale=0.3)
-    root = np.linalg.cholesky(state.cov)
-    with pytest.raises(ValueError, match="iterations: 0"):
-        update_root(state.mean, root, measurement, RULES["gh3"], 0)
     with pytest.raises(ValueError, match="block-diagonal"):
         make_filter("qkf-sqrt", rule="cubature").step(state, make.prediction(4, 2), measurement)
     bad = Gaussian(state.mean, -state.cov)

@@ -5,14 +5,15 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from ultratight.filters.factored import FORMS, Factored
+from ultratight.filters.catalog import make_filter
+from ultratight.filters.factored import FORMS, make_pair
 from ultratight.filters.gaussian import Gaussian, predict, update
 from ultratight.filters.rules import RULES
 from ultratight.filters.ud import condition_ud, cov_ud, factor_ud, predict_ud
 
 
 def ud():
-    return Factored(FORMS["ud"])
+    return make_pair("ud")
 
 
 @pytest.mark.nojit
@@ -21,9 +22,21 @@ def test_factor_is_the_one_of_rational_arithmetic():
     U = np.array([[1.0, 2.0, -3.0], [0.0, 1.0, 5.0], [0.0, 0.0, 1.0]])
     D = np.array([7.0, 0.5, 2.0])
     F = factor_ud(U @ np.diag(D) @ U.T)
-    np.testing.assert_array_equal(np.diag(F), D)
-    np.testing.assert_array_equal(F - np.diag(np.diag(F)), U - np.eye(3))
-    np.testing.assert_array_equal(cov_ud(F), U @ np.diag(D) @ U.T)
+    np.testing.assert_allclose(np.diag(F), D, rtol=1e-13)
+    np.testing.assert_allclose(F - np.diag(np.diag(F)), U - np.eye(3), atol=1e-13)
+    np.testing.assert_allclose(cov_ud(F), U @ np.diag(D) @ U.T, rtol=1e-13, atol=1e-13)
+
+
+@pytest.mark.nojit
+def test_nearly_dependent_noises_keep_their_covariance():
+    """As the receiver's phases: one common noise, small own ones; unpivoted elimination would
+    amplify rounding by the ratio of their sizes."""
+    n = 8
+    common, own = np.ones(n), np.zeros((n, 3))
+    own[:, 0], own[:, 1], own[:, 2] = np.sin(np.arange(n)), np.cos(np.arange(n)), np.arange(n)
+    q = np.outer(common, common) + 1e-6 * own @ own.T
+    found = cov_ud(predict_ud(np.zeros((n, n)), np.eye(n), q))
+    np.testing.assert_allclose(found, q, rtol=1e-13)
 
 
 @pytest.mark.nojit
@@ -155,26 +168,33 @@ def test_single_precision_over_a_thousand_epochs():
     np.testing.assert_allclose(found[1], found[0], rtol=2e-3)
 
 
-def test_covariances_of_others_are_factored_anew(make):
+@pytest.mark.parametrize("form", FORMS)
+def test_covariances_of_others_are_factored_anew(make, form):
     """At a hand-over the receiver makes its own covariance: a kept factor must not be used."""
     state, measurement = make.problem("phase", 3, nb=4, n=7, scale=0.3)
-    used, rule, phi, q = ud(), RULES["gh5"], np.eye(7), 1e-4 * np.eye(7)
+    rule, phi, q = RULES["gh5"], np.eye(7), 1e-4 * np.eye(7)
 
     def step(pair, state):
         return pair.update(pair.predict(state, phi, q), measurement, rule)
 
+    used = make_pair(form)
     first = step(used, state)
     kept = step(used, Gaussian(state.mean, first.cov))
-    again = step(ud(), Gaussian(state.mean, first.cov.copy()))
+    again = step(make_pair(form), Gaussian(state.mean, first.cov.copy()))
     np.testing.assert_allclose(kept.cov, again.cov, atol=1e-13)
     wider = Gaussian(state.mean, 4.0 * first.cov)
-    np.testing.assert_array_equal(step(used, wider).cov, step(ud(), wider).cov)
+    np.testing.assert_array_equal(step(used, wider).cov, step(make_pair(form), wider).cov)
 
 
 @pytest.mark.nojit
 def test_refusals(make):
     state, measurement = make.problem("phase", 3, nb=2, n=4, scale=0.3)
     rule, eye = RULES["gh3"], np.eye(4)
+    with pytest.raises(ValueError, match="form: 'u-d', expected one of plain, square-root, ud"):
+        make_filter("kf", form="u-d")
+    for name in ("fiqkf-r", "kf-sage-husa", "jtq"):
+        with pytest.raises(ValueError, match="form: 'ud', expected 'plain' beside"):
+            make_filter(name, form="ud")
     with pytest.raises(ValueError, match="iterations: 0"):
         ud().update(state, measurement, rule, 0)
     with pytest.raises(ValueError, match="block-diagonal"):

@@ -12,6 +12,7 @@ from typing import Any, Protocol
 
 from ultratight.filters import own
 from ultratight.filters.adaptive import SageHusa
+from ultratight.filters.factored import PLAIN, make_pair
 from ultratight.filters.fading import AS_PRINTED, BLOCK, CLAMPED, FITTED, Fading, FadingOptions
 from ultratight.filters.gaussian import (
     Filter,
@@ -19,15 +20,12 @@ from ultratight.filters.gaussian import (
     Measurement,
     Prediction,
     Update,
-    predict,
-    update,
 )
 from ultratight.filters.interval import IntervalQ, VelocityQ, intersect_boxes, intersect_printed
 from ultratight.filters.jump_triggered import IO, J1, JTQ
 from ultratight.filters.multiple_model import IMM3, ImmOptions
 from ultratight.filters.robust import Ishakf
 from ultratight.filters.rules import Rule, get_rule
-from ultratight.filters.square_root import SquareRoot
 
 __all__ = [
     "CATALOG",
@@ -66,7 +64,7 @@ class Recipe:
     interval_q: IntervalQ | None = None  # applied before the prediction
     velocity_q: VelocityQ | None = None  # so is this
     noise: SageHusa | Ishakf | None = None  # R and Q from innovations, or R from residuals
-    square_root: bool = False  # a triangular factor of P is kept in place of P
+    form: str = PLAIN  # row of `factored.FORMS`: a factor of P is kept in place of P
     states: int = 17  # 20: with three accelerometer scale factors
     several: Several | None = None  # a bank of hypotheses in place of one Gaussian
 
@@ -139,7 +137,9 @@ CATALOG: dict[str, Recipe] = {
                          velocity_q=VelocityQ(0.1)),
     "qkf-sqrt": Recipe(f"{_QKF}, 7 points; square-root form",
                        "Arasaratnam & Haykin, Proc. IEEE 95 (2007); Carlson (1973)",
-                       square_root=True),
+                       form="square-root"),
+    "qkf-ud": Recipe(f"{_QKF}, 7 points; UD form", "Bierman (1977); Thornton & Bierman (1976)",
+                     form="ud"),
     "qkf-cf": Recipe("quadrature filter, moments of model C in closed form", OURS, "closed-form"),
     "fiqkf-r-cf": Recipe("fiqkf-r, moments of model C in closed form", OURS, "closed-form",
                          fading=BLOCK),
@@ -180,11 +180,14 @@ class RecipeFilter:
     """A recipe at work; its only memory is the fading factor's, or the estimates of the noises."""
 
     def __init__(self, recipe: Recipe) -> None:
+        several = recipe.fading or recipe.noise or recipe.several
+        if recipe.form != PLAIN and several is not None:
+            raise ValueError(f"form: {recipe.form!r}, expected {PLAIN!r} beside {several}")
         self.recipe = recipe
         self.rule = get_rule(recipe.rule)
         self.fading = None if recipe.fading is None else Fading(recipe.fading)
+        self.pair = make_pair(recipe.form)
         self.noise = None if recipe.noise is None else recipe.noise.memory()
-        self.root = SquareRoot() if recipe.square_root else None
 
     @property
     def states(self) -> int:
@@ -205,8 +208,6 @@ class RecipeFilter:
             state, prediction = recipe.interval_q.apply(state, prediction)
         if recipe.velocity_q is not None:
             prediction = recipe.velocity_q.apply(prediction)
-        if self.root is not None:
-            return self.root.step(state, prediction, measurement, self.rule, recipe.iterations)
         if self.noise is not None:
             return self.noise.step(state, prediction, measurement, self.rule, recipe.iterations)
         if self.fading is not None:
@@ -214,8 +215,8 @@ class RecipeFilter:
                 state, prediction, measurement, self.rule, recipe.iterations
             )
         else:
-            prior = predict(state, prediction.phi, prediction.q)
-            result = update(prior, measurement, self.rule, recipe.iterations)
+            prior = self.pair.predict(state, prediction.phi, prediction.q)
+            result = self.pair.update(prior, measurement, self.rule, recipe.iterations)
         return result if recipe.intersect is None else recipe.intersect(prior, result)
 
 
@@ -235,6 +236,6 @@ def make_filter(name: str, **changes: Any) -> Filter:
     except TypeError as error:
         fields = ", ".join(Recipe.__dataclass_fields__)
         raise ValueError(f"filter {name!r}: {error}; expected fields {fields}") from None
-    if recipe.several is not None:
+    if recipe.several is not None and recipe.form == PLAIN:
         return recipe.several.make(get_rule(recipe.rule), recipe.iterations)
     return RecipeFilter(recipe)

@@ -1,7 +1,7 @@
 """A factor of P in place of P: a drop-in pair for `gaussian.predict` and `gaussian.update`.
 
-Each form of a factor is a row: how it begins, is predicted and conditioned, see `ud`.  By
-statistical linear regression any rule that does not correlate channels can be used.
+Each form of a factor is a row: how it begins, is predicted and conditioned, see `square_root` and
+`ud`.  By statistical linear regression any rule that does not correlate channels can be used.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import numpy as np
 
 from ultratight.filters.gaussian import Gaussian, Measurement, Update, predict, update
 from ultratight.filters.rules import Rule
+from ultratight.filters.square_root import condition_root, cov_root, first_root, predict_root
 from ultratight.filters.ud import condition_ud, cov_ud, factor_ud, predict_ud
 
 
@@ -39,12 +40,17 @@ class Form(NamedTuple):
     cov: Callable[[np.ndarray], np.ndarray]  # factor -> P
 
 
-FORMS = {"ud": Form(factor_ud, predict_ud, condition_ud, cov_ud)}
+FORMS = {
+    "square-root": Form(first_root, predict_root, condition_root, cov_root),
+    "ud": Form(factor_ud, predict_ud, condition_ud, cov_ud),
+}
 """Name -> form"""
+PLAIN = "plain"
+"""P itself"""
 
 
 class Plain:
-    """P itself."""
+    """`gaussian`'s own."""
 
     predict = staticmethod(predict)
     update = staticmethod(update)
@@ -107,3 +113,12 @@ class Factored:
         cov = self.form.cov(factor)
         self._known[:] = [(cov, factor), *self._known[:2]]
         return cov
+
+
+def make_pair(name: str) -> Pair:
+    """The pair of a row of `FORMS`, or that of P itself, for one run."""
+    if name == PLAIN:
+        return Plain()
+    if name not in FORMS:
+        raise ValueError(f"form: {name!r}, expected one of {', '.join((PLAIN, *FORMS))}")
+    return Factored(FORMS[name])

@@ -8,8 +8,8 @@
 with Theta orthogonal: Givens rotations, last column first, which keep L triangular (Carlson, AIAA
 J. 11, 1973; as an array: Kailath, Sayed & Hassibi, Linear Estimation, ch. 12).  By statistical
 linear regression h is a row of G A and Omega goes with R, so it is the square-root quadrature
-filter of Arasaratnam & Haykin (Proc. IEEE 95, 2007), with an update equal to the joint one.  A pair
-for `gaussian.predict` and `gaussian.update`: same figures in float64, half the digits needed.
+filter of Arasaratnam & Haykin (Proc. IEEE 95, 2007), with an update equal to the joint one.  Same
+figures in float64, half the digits needed.
 """
 
 from __future__ import annotations
@@ -19,39 +19,8 @@ from typing import Any
 import numpy as np
 
 from signals.compiled import FAST_SUM, borrowing, kernel
-from ultratight.filters.gaussian import Gaussian, Measurement, Prediction, Update
-from ultratight.filters.rules import Rule, psd_cholesky
-
-
-class SquareRoot:
-    """The factor of one run, and the steps with it."""
-
-    def __init__(self) -> None:
-        self.cov: np.ndarray | None = None
-        self.root = np.zeros((0, 0))
-
-    def reset(self) -> None:
-        """Nothing is remembered of innovations; the factor goes with its covariance."""
-
-    def step(
-        self,
-        state: Gaussian,
-        prediction: Prediction,
-        measurement: Measurement,
-        rule: Rule,
-        iterations: int = 1,
-    ) -> Update:
-        """Predict and update.  A covariance that is not the last one given out is factored anew.
-
-        Raises `numpy.linalg.LinAlgError` where that is indefinite.
-        """
-        if rule.space == "full":
-            raise ValueError(f"rule: {rule.name}, expected one whose Omega is block-diagonal")
-        root = self.root if state.cov is self.cov else first_root(state.cov)
-        mean, root = predict_root(state.mean, root, prediction.phi, prediction.q)
-        found, self.root = update_root(mean, root, measurement, rule, iterations)
-        self.cov = found.cov
-        return found
+from ultratight.filters.rules import psd_cholesky
+from ultratight.filters.ud import columns_of
 
 
 def first_root(cov: np.ndarray) -> np.ndarray:
@@ -64,41 +33,24 @@ def first_root(cov: np.ndarray) -> np.ndarray:
     return root
 
 
-def predict_root(
-    mean: np.ndarray, root: np.ndarray, phi: np.ndarray, q: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Phi m (n,) and lower L- (n, n) with L- L-' = Phi L L' Phi' + Q, in the precision of L."""
-    n = mean.size
-    stack = np.empty((2 * n, n), root.dtype)
+def predict_root(root: np.ndarray, phi: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Lower L- (n, n) with L- L-' = Phi L L' Phi' + Q, in the precision of L."""
+    n = len(root)
+    G, weight = np.empty((n, n), root.dtype), np.empty(n, root.dtype)
+    r = columns_of(np.ascontiguousarray(q, root.dtype), G, weight)
+    if r < 0:
+        raise ValueError("Q: expected a finite, symmetric, positive semi-definite matrix")
+    stack = np.empty((n + r, n), root.dtype)
     stack[:n] = (phi.astype(root.dtype, copy=False) @ root).T
-    _semidefinite_root(np.ascontiguousarray(q, root.dtype), stack[n:])
+    stack[n:] = (G[:, :r] * np.sqrt(weight[:r])).T
     out = np.empty((n, n), root.dtype)
     triangle(stack, out)
-    return phi @ mean, out
+    return out
 
 
-def update_root(
-    mean: np.ndarray, root: np.ndarray, measurement: Measurement, rule: Rule, iterations: int = 1
-) -> tuple[Update, np.ndarray]:
-    """Condition N(mean, L L') on all blocks; the update and its root.  See `gaussian.update`."""
-    if iterations < 1:
-        raise ValueError(f"iterations: {iterations}, expected at least 1")
-    prior = Gaussian(mean, root @ root.T)
-    if measurement.A.shape[0] == 0:
-        none, square, n = np.zeros(0), np.zeros((0, 0)), mean.size
-        return Update(*prior, none, square, np.zeros((n, 0)), 0.0, 0.0, np.zeros((0, n))), root
-    density = prior
-    for _ in range(iterations):
-        zbar, H, Omega = rule.linearise(density, measurement)
-        noise = Omega + measurement.R
-        nu = measurement.z.reshape(-1) - zbar - H @ (mean - density.mean)
-        m1, L1 = mean.copy(), root.copy()
-        nis = condition_root(m1, L1, nu, H, noise)
-        density = Gaussian(m1, L1 @ L1.T)
-    found = Update(
-        *density, nu, nis=nis, H=H, passes=iterations, prior_cov=prior.cov, noise=noise
-    )  # fmt: skip
-    return found, L1
+def cov_root(root: np.ndarray) -> np.ndarray:
+    """P (n, n) = L L'."""
+    return root @ root.T
 
 
 # ---------------------------------------------------------------------------------- kernels
@@ -227,24 +179,3 @@ def _rotate(L: np.ndarray, h: np.ndarray, unit: Any, g: np.ndarray) -> Any:
 @kernel
 def _factor(P: np.ndarray, L: np.ndarray) -> None:
     psd_cholesky(P, L)
-
-
-@kernel
-def _semidefinite_root(Q: np.ndarray, X: np.ndarray) -> None:
-    """X (n, n) = root of Q, transposed; a pivot lost in rounding is a noise that is not there."""
-    n = Q.shape[0]
-    X[:] = 0.0
-    floor = n * np.finfo(Q.dtype).eps
-    for j in range(n):
-        pivot = Q[j, j]
-        for k in range(j):
-            pivot -= X[k, j] * X[k, j]
-        if not pivot > floor * Q[j, j]:
-            continue
-        root = np.sqrt(pivot)
-        X[j, j] = root
-        for i in range(j + 1, n):
-            s = Q[i, j]
-            for k in range(j):
-                s -= X[k, i] * X[k, j]
-            X[j, i] = s / root

@@ -67,35 +67,63 @@ def cov_ud(factor: np.ndarray) -> np.ndarray:
 
 
 @kernel(fastmath=FAST_SUM)
-def factor_into(P: np.ndarray, F: np.ndarray) -> bool:
-    """Factor of P (n, n), of which the upper triangle is read; False where it is indefinite.
+def columns_of(Q: np.ndarray, G: np.ndarray, weight: np.ndarray) -> int:
+    """G (n, n), weight (n,): Q = G diag(weight) G' of the first r columns; r is returned.
 
-    A pivot lost in rounding is a variance that is not there.
+    Cholesky's elimination of the correlations, largest pivot first, without roots: the rest is
+    bounded by its diagonal, so that rounding shows.  -1: Q is indefinite or not finite.
     """
+    n = Q.shape[0]
+    zero = np.zeros(1, G.dtype)[0]  # literals would turn single precision into double
+    tiny = 8.0 * n * np.finfo(G.dtype).eps
+    X, scale = np.empty((n, n), G.dtype), np.empty(n, G.dtype)
+    for i in range(n):
+        if not 0.0 <= Q[i, i] < np.inf:
+            return -1
+        scale[i] = np.sqrt(Q[i, i])
+    for i in range(n):
+        for j in range(n):
+            if scale[i] > zero and scale[j] > zero:
+                X[i, j] = Q[i, j] / scale[i] / scale[j]
+            elif Q[i, j] == zero:
+                X[i, j] = zero
+            else:  # no variance, yet a covariance
+                return -1
+    for r in range(n + 1):
+        p = 0
+        for i in range(n):
+            if X[i, i] > X[p, p]:
+                p = i
+        if r == n or not X[p, p] > tiny:
+            for i in range(n):
+                for j in range(n):
+                    if not abs(X[i, j]) <= 100.0 * tiny:
+                        return -1
+            return r
+        weight[r] = X[p, p]
+        for i in range(n):
+            G[i, r] = X[i, p] / weight[r]
+        for i in range(n):
+            g = weight[r] * G[i, r]
+            if g != zero:
+                for j in range(n):
+                    X[i, j] -= g * G[j, r]
+        for i in range(n):
+            X[i, p] = zero
+            X[p, i] = zero
+            G[i, r] *= scale[i]
+    return n
+
+
+@kernel
+def factor_into(P: np.ndarray, F: np.ndarray) -> bool:
+    """Factor of P (n, n); False where it is indefinite or not finite."""
     n = P.shape[0]
-    zero = np.zeros(1, F.dtype)[0]  # literals would turn single precision into double
-    floor = n * np.finfo(F.dtype).eps
-    for j in range(n - 1, -1, -1):
-        d = P[j, j]
-        for k in range(j + 1, n):
-            d -= F[k, k] * F[j, k] * F[j, k]
-        least = floor * P[j, j]
-        if not -100.0 * least <= d < np.inf:  # NaN too
-            return False
-        if d <= least:
-            d = zero
-        F[j, j] = d
-        for i in range(j):
-            F[j, i] = zero
-            t = P[i, j]
-            for k in range(j + 1, n):
-                t -= F[k, k] * F[i, k] * F[j, k]
-            if d > zero:
-                F[i, j] = t / d
-            elif t * t > 1e4 * floor * P[j, j] * P[i, i] or t != t:
-                return False  # no variance, yet a covariance
-            else:
-                F[i, j] = zero
+    G, weight = np.empty((n, n), F.dtype), np.empty(n, F.dtype)
+    r = columns_of(P, G, weight)
+    if r < 0:
+        return False
+    orthogonalise(G[:, :r].copy(), weight[:r], F)
     return True
 
 
@@ -116,13 +144,11 @@ def multiply_ud(F: np.ndarray, P: np.ndarray) -> None:
 def predict_ud_into(F: np.ndarray, phi: np.ndarray, q: np.ndarray, out: np.ndarray) -> bool:
     """Factor ``out`` of Phi U D U' Phi' + Q; False: Q is indefinite, or something not finite."""
     n = F.shape[0]
-    G = np.empty((n, n), F.dtype)
-    if not factor_into(q, G):
+    G, noise = np.empty((n, n), F.dtype), np.empty(n, F.dtype)
+    r = columns_of(q, G, noise)
+    if r < 0:
         return False
-    noisy = 0
-    for j in range(n):
-        noisy += G[j, j] > 0.0
-    W, weight = np.empty((n, n + noisy), F.dtype), np.empty(n + noisy, F.dtype)
+    W, weight = np.empty((n, n + r), F.dtype), np.empty(n + r, F.dtype)
     for i in range(n):
         for j in range(n):
             W[i, j] = phi[i, j]
@@ -131,15 +157,11 @@ def predict_ud_into(F: np.ndarray, phi: np.ndarray, q: np.ndarray, out: np.ndarr
             if a != 0.0:
                 for j in range(k + 1, n):
                     W[i, j] += a * F[k, j]
+        for j in range(r):
+            W[i, n + j] = G[i, j]
         weight[i] = F[i, i]
-    at = n
-    for j in range(n):
-        if G[j, j] > 0.0:
-            weight[at] = G[j, j]
-            for i in range(n):
-                W[i, at] = G[i, j]
-            W[j, at] = weight[at] / weight[at]  # 1 in the precision of F
-            at += 1
+    for j in range(r):
+        weight[n + j] = noise[j]
     orthogonalise(W, weight, out)
     finite = True
     for j in range(n):
