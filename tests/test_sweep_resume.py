@@ -114,12 +114,12 @@ def test_a_damaged_line_is_flown_again(tmp_path: Path, whole: tuple[str, bytes])
     assert len(after) == len(lines) + 1  # the damaged one stays, and counts for nothing
 
 
-def test_disk_full(tmp_path: Path, whole: tuple[str, bytes]) -> None:
-    """No file may grow beyond some bytes: what fits is kept, and is all that is there."""
-    limit = len(whole[1]) // 2
+@pytest.mark.parametrize("share", [0.5, 1.2])
+def test_disk_full(tmp_path: Path, whole: tuple[str, bytes], share: float) -> None:
+    """No file may grow beyond some bytes: half of the journal, or all of it but not the Dataset."""
     done = in_a_process(
         f"""
-        resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, resource.RLIM_INFINITY))
+        resource.setrlimit(resource.RLIMIT_FSIZE, ({int(share * len(whole[1]))}, -1))
         try:
             sweep(Path(sys.argv[1]))
         except OSError as error:
@@ -127,12 +127,14 @@ def test_disk_full(tmp_path: Path, whole: tuple[str, bytes]) -> None:
         """,
         tmp_path,
     )
-    assert "runs are kept in" in done.stdout, done.stderr
     kept = (tmp_path / "journal.txt").read_bytes()
     assert kept.endswith(b"\n")
     n = len(science(kept))
-    assert 0 < n < 2 * RUNS
+    assert 0 < n < 2 * RUNS or share > 1.0
+    assert len(done.stdout.splitlines()) == 1, done.stderr
+    assert "File too large" in done.stdout
     assert f"{n} of {2 * RUNS} runs are kept" in done.stdout
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["journal.txt"]
     assert sweep(tmp_path) == whole[0]
     assert (tmp_path / "journal.txt").read_bytes().startswith(kept)
 

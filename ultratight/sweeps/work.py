@@ -103,13 +103,16 @@ class Work:
                     journal.add(record)
                 if progress is not None:
                     progress(journal.n_done / n)
-        except (OSError, KeyboardInterrupt) as error:
-            kept = f"{journal.n_done} of {n} runs are kept in {self.folder}, "
-            kept += "the same command goes on there"
-            if isinstance(error, OSError):
-                raise OSError(f"{error}; {kept}") from error
-            raise KeyboardInterrupt(kept) from None
-        journal.sync()
+            journal.sync()
+        except OSError as error:
+            raise OSError(f"{error}; {self.kept()}") from error
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(self.kept()) from None
+
+    def kept(self) -> str:
+        """What is finished, and how it goes on."""
+        n_done, n = self.journal.n_done, self.plan.n_run
+        return f"{n_done} of {n} runs are kept in {self.folder}, the same command goes on there"
 
     def write(self) -> None:
         """The Dataset of all that is asked for."""
@@ -125,9 +128,14 @@ class Work:
             "provenance": provenance(p.base, p.seed),
         }
         path = self.folder / dataset.NAME
-        dataset.write(
-            path, p.axes, p.cells, p.seeds, journal.records(), layout, p.keep, p.every_s, attributes
-        )
+        try:
+            dataset.write(
+                path, p.axes, p.cells, p.seeds, journal.records(), layout, p.keep, p.every_s,
+                attributes,
+            )  # fmt: skip
+        except (OSError, RuntimeError) as error:  # of HDF5, which says much
+            why = os.strerror(error.errno) if isinstance(error, OSError) and error.errno else error
+            raise OSError(f"{path}: cannot be written ({why}); {self.kept()}") from error
 
 
 def _made(p: Plan, shas: Mapping[str, str], copies: Mapping[str, str]) -> dict[str, Any]:
