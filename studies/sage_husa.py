@@ -19,13 +19,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from common.campaign import Campaign, Study, carry_out
 from common.ledger import Claim, Must, Quantity
+from common.platform_figures import over_Q0, root_R, velocities
 from common.platform_flight import (
-    FAULT,
-    OUTAGE,
     Q0,
     SCENARIOS,
     Flown,
-    K,
     estimate,
     measure,
     merits,
@@ -33,13 +31,9 @@ from common.platform_flight import (
 )
 from common.statistics import count, interval, number
 from joblib import Parallel, delayed
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from ultratight.filters.adaptive import SageHusa
 from ultratight.filters.catalog import CATALOG
-from ultratight.ins.wander_azimuth import EARTH_RADIUS
-from ultratight.plots import COLOURS
 from ultratight.provenance import sources_sha256
 
 RUNS, FIRST_SEED = 40, 1001
@@ -149,6 +143,22 @@ def one_flight(scenario: str, Q: np.ndarray, noise: SageHusa | None, seed: int) 
     return estimate(SCENARIOS[scenario], *measure(SCENARIOS[scenario], seed), Q, noise)
 
 
+def filter_name(n: str) -> str:
+    """Number and name."""
+    return f"({n}) {NAMES[n]}"
+
+
+def flights(scenario: str, shown: str) -> dict[str, dict[str, Flown]]:
+    """One flight of each filter for each Q_0."""
+    return {
+        q: {
+            filter_name(n): one_flight(scenario, Q, algorithm(n, scenario), FIRST_SEED)
+            for n in shown
+        }
+        for q, Q in Q0.items()
+    }
+
+
 def main() -> None:
     """Fly, tabulate, draw, judge."""
     study = Study(__file__, CAMPAIGNS)
@@ -158,10 +168,12 @@ def main() -> None:
     study.say(f"{len(m)} filters x {m['full 5']['rms'].size} flights in "
               f"{time.monotonic() - began:.0f} s")  # fmt: skip
     tabulate(study, m)
-    for scenario in "123":
-        study.figure(f"sage_husa_{scenario}", velocities(scenario))
-    study.figure("sage_husa_noise", root_R())
-    study.figure("sage_husa_q0", over_Q0(m))
+    for s in "123":
+        study.figure(f"sage_husa_{s}", velocities(s, flights(s, "12345")))
+    study.figure("sage_husa_noise", root_R(flights("3", "34")))
+    found = {filter_name(n): [typical("", m[f"drift {d} {n}"]["rms"], "") for d in DRIFTS]
+             for n in "1345"}  # fmt: skip
+    study.figure("sage_husa_q0", over_Q0(DRIFTS, found, m["full 5"]["rms"].size))
     same = equal_b()
     claims = [*amplitudes(m), *ranking(m), *scenarios(m), *theory(m, same), *section_5(m)]
     study.conclude([*claims, *prototype(m, same), speed()])
@@ -273,83 +285,6 @@ def label(key: str) -> str:
     """Of a cell, with the filter's name."""
     words = key.split(" ")
     return " ".join(f"{w} {NAMES[w]}" if w in NAMES and i == 2 else w for i, w in enumerate(words))
-
-
-def shade(ax: Axes, faults: bool = False) -> None:
-    """Outages grey, faults of GPS yellow."""
-    spans = [(OUTAGE, "0.88"), (FAULT != 0.0, "#F6E8B1")] if faults else [(OUTAGE, "0.88")]
-    for when, colour in spans:
-        ax.fill_between(K, 0, 1, where=when, transform=ax.get_xaxis_transform(), color=colour,
-                        linewidth=0.0, zorder=0.5)  # fmt: skip
-    ax.set_xlim(0, K[-1])
-    ax.grid(True, alpha=0.3)
-    ax.tick_params(labelsize=7.0)
-
-
-def velocities(scenario: str) -> Figure:
-    """The paper's form: errors of both velocities in one flight, a row per filter."""
-    shown = "12345"
-    page = Figure(figsize=(9.0, 1.4 * len(shown) + 0.8), layout="constrained")
-    axes = page.subplots(len(shown), len(Q0), sharex=True, sharey="row")
-    for c, (q, Q) in enumerate(Q0.items()):
-        axes[0, c].set_title(f"$Q_0$ {q}", fontsize=9.0)
-        for ax, n in zip(axes[:, c], shown, strict=True):
-            error = one_flight(scenario, Q, algorithm(n, scenario), FIRST_SEED).error
-            for axis, name in enumerate(("$V_x$", "$V_y$")):
-                ax.plot(K, error[:, axis], color=COLOURS[axis], linewidth=0.7, label=name)
-            shade(ax, scenario == "3")
-        axes[-1, c].set_xlabel("time [s]", fontsize=8.0)
-    for ax, n in zip(axes[:, 0], shown, strict=True):
-        ax.set_ylabel(f"({n}) {NAMES[n]}\nerror [m/s]", fontsize=8.0)
-    axes[0, 0].legend(fontsize=7.0, ncols=2, loc="upper right")
-    page.suptitle(f"Scenario {scenario}: velocity errors of one flight, outages grey", fontsize=9.0)
-    return page
-
-
-def root_R() -> Figure:
-    """Scenario 3: square roots of R^ and of P of latitude, two filters."""
-    page = Figure(figsize=(9.0, 5.0), layout="constrained")
-    axes = page.subplots(2, len(Q0), sharex=True, sharey=True)
-    for c, (q, Q) in enumerate(Q0.items()):
-        axes[0, c].set_title(f"$Q_0$ {q}", fontsize=9.0)
-        for ax, n in zip(axes[:, c], "34", strict=True):
-            run = one_flight("3", Q, algorithm(n, "3"), FIRST_SEED).run
-            for values, colour, style, name in (
-                (run.R_variance[:, 0], COLOURS[0], "-", r"$\sqrt{\hat R}$ of latitude"),
-                (run.variance[:, 2], COLOURS[1], "--", r"$\sqrt{P}$ of latitude"),
-            ):
-                ax.plot(K, EARTH_RADIUS * np.sqrt(values), style, color=colour, linewidth=0.8,
-                        label=name)  # fmt: skip
-            ax.set_yscale("log")
-            shade(ax, True)
-        axes[-1, c].set_xlabel("time [s]", fontsize=8.0)
-    for ax, n in zip(axes[:, 0], "34", strict=True):
-        ax.set_ylabel(f"({n}) {NAMES[n]}\n[m]", fontsize=8.0)
-    axes[0, 0].legend(fontsize=7.0, loc="upper right")
-    page.suptitle("Scenario 3: what the filters hold for the noise of GPS, one flight; outages "
-                  "grey, faults of GPS yellow", fontsize=9.0)  # fmt: skip
-    return page
-
-
-def over_Q0(m: dict[str, Merits]) -> Figure:
-    """Where the ranking turns over."""
-    page = Figure(figsize=(6.0, 3.8), layout="constrained")
-    ax = page.subplots()
-    for k, n in enumerate("1345"):
-        found = [typical("", m[f"drift {d} {n}"]["rms"], "") for d in DRIFTS]
-        ax.fill_between(DRIFTS, [q.low for q in found], [q.high for q in found],
-                        color=COLOURS[k], alpha=0.2, linewidth=0.0)  # fmt: skip
-        ax.plot(DRIFTS, [q.value for q in found], marker=".", color=COLOURS[k],
-                label=f"({n}) {NAMES[n]}")  # fmt: skip
-    ax.set_xscale("log")
-    ax.set_yscale("log")
-    ax.set_xlabel("drift noise in $Q_0$ [deg/h in a second]; the truth's is 0")
-    ax.set_ylabel("r.m.s. velocity error [m/s]")
-    ax.grid(True, which="both", alpha=0.3)
-    ax.legend(fontsize=8.0)
-    runs = m["full 5"]["rms"].size
-    ax.set_title(f"Scenario 1, geometric mean of {runs} flights, 95 % interval", fontsize=9.0)
-    return page
 
 
 # -- claims ---------------------------------------------------------------------------------------
