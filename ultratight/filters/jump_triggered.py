@@ -17,6 +17,7 @@ or g-sensitivity enters, only how large a surprise per 10 g may be.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -70,6 +71,14 @@ class JumpOptions:
     phase_share: float = 0.1  # xi
     prior: tuple[float, float, float, float] = (0.4, 0.2, 0.2, 0.2)
     stay: float = 0.98  # on a ramp; the rest goes by ``prior``
+    transverse: float = 1.0  # size across the change of force, in units of that along it
+    delay: float = 0.0  # of the velocity's step after the start of the epoch, in epochs
+    jitter: float = 0.0  # its variance, in epochs squared
+    ramp: float = 1.0  # share of V on a ramp
+    unsteady: float = 0.0  # no trigger below so many medians of the second difference of force
+    aftershock: float = 0.0  # size of velocity opened in the epoch after, in that of the epoch
+    unrest: float = 0.0  # of the bias after the score test has fired [m/s2/sqrt(s)]
+    unrest_s: float = 1.0  # how long
     trigger: bool = True
     hypotheses: bool = True  # False: all blocks opened in one Gaussian
     gate: float = 40.0  # of the score test; inf: none
@@ -103,6 +112,7 @@ RAISED = (2.0, 0.5, 3.0)
 LONGEST_SET = 50  # epochs
 QUIET_SET, AFTER_STEP = 3, 25  # epochs
 STEP_RAD = 0.15
+MEMORY = 25  # epochs
 
 
 class JumpTriggered:
@@ -120,6 +130,11 @@ class JumpTriggered:
         self.bank: Bank | None = None  # None: one hypothesis, the receiver's own
         self.age = 0  # epochs since the hypotheses were spawned
         self.since_step = 10**9
+        self.since_fire = 10**9
+        self.shock = None
+        self.change = (0.0, 0.0, 0.0)
+        self.second = [0.0] * MEMORY
+        self.slot = 0
         self.elapsed_s = 0.0
         self.fed_bias = np.zeros(3)
         self.step_weight: np.ndarray | None = None
@@ -130,10 +145,10 @@ class JumpTriggered:
         o = self.options
         self.notes: list[tuple[str, str]] = []
         self.elapsed_s += prediction.T
-        before = self.bank if self.bank is not None else bank_of(state, np.ones(1))
+        before = self.bank if self.bank is not None else _bank_of_one(state)
         bank = self._open(before, prediction)
         if self.since_step == 0:
-            measurement = seen_from_a_step(measurement, prediction)
+            measurement = seen_from_a_step(measurement, prediction, self.options.delay)
         loaded = prediction._replace(q=self._q(prediction))
         bank, updates = self._update(bank, loaded, measurement)
         if measurement.z.size and np.isfinite(o.gate):
@@ -142,9 +157,10 @@ class JumpTriggered:
             if self._fires(windowed, single):
                 self.notes.append(("reopened", f"score test {max(windowed, single):.0f}"))
                 self.score.reset()
+                self.since_fire = 0
                 bank = _bank_of_one(self._raised(merged(before), prediction))
                 bank, updates = self._update(bank, loaded, measurement)
-        result = report(bank, updates)
+        result = updates[0] if len(updates) == 1 else report(bank, updates)
         self.bank = fed_back(bank, result.mean) if len(updates) > 1 else None
         self.fed_bias = result.mean[prediction.layout.accel_bias]
         return result
@@ -154,13 +170,27 @@ class JumpTriggered:
         o = self.options
         self.age += 1
         self.since_step += 1
+        self.since_fire += 1
         # the receiver's force is free of the bias, whose estimate has just moved
-        df = np.sqrt(np.sum((prediction.df_b + self.fed_bias) ** 2)) if o.trigger else 0.0
+        change = prediction.df_b + self.fed_bias
+        df = math.hypot(*change.tolist()) if o.trigger else 0.0
+        along = change / df if df > 0.0 else change
         w = max(df - o.dead_zone_mps2, 0.0) / o.reference_mps2
+        if o.unsteady and df < self._gate(change):
+            w = 0.0
         several = bank.log_weight.size > 1
+        if o.aftershock and self.shock is not None:
+            size, way = self.shock
+            bank = self._widened(
+                bank, prediction, o.aftershock * size, way, self._share(several), only_v=True
+            )
+            self.shock = (size * o.aftershock, way) if size > 0.01 else None
+        if w > STEP:
+            self.shock = (w, along)
         if w == 0.0:
-            decided = bank.log_weight.max() > np.log(DECIDED_ABOVE)
-            if several and (decided or self.age > LONGEST_SET):
+            if several and (
+                self.age > LONGEST_SET or bank.log_weight.max() > math.log(DECIDED_ABOVE)
+            ):
                 return _bank_of_one(merged(bank))
             return bank
         if w > STEP:
@@ -168,26 +198,71 @@ class JumpTriggered:
             self.score.reset()
             self.since_step = 0
         if not o.hypotheses:
-            return self._widened(bank, prediction, w, np.ones((1, 2)))
+            return self._widened(bank, prediction, w, along, np.ones((1, 2)))
         if w > STEP or not several:
             self.age = 0
             bank = bank_of(merged(bank), self.prior)
         else:
             bank = mixed(bank, self.transition)
-        s = o.spill
-        return self._widened(
-            bank, prediction, w, np.array([[s, s], [1.0, s], [s, 1.0], [1.0, 1.0]])
-        )
+        return self._widened(bank, prediction, w, along, self._share(True))
 
-    def _widened(self, bank: Bank, prediction: Prediction, w: float, share: np.ndarray) -> Bank:
+    def _gate(self, change: np.ndarray) -> float:
+        """Changes of force below are vibration: the median of what half a second has shown."""
+        change_x, change_y, change_z = change.tolist()
+        x, y, z = self.change
+        self.change = change_x, change_y, change_z
+        gate = self.options.unsteady * sorted(self.second)[len(self.second) // 2]
+        self.second[self.slot] = math.hypot(change_x - x, change_y - y, change_z - z)
+        self.slot = (self.slot + 1) % len(self.second)
+        return gate
+
+    def _share(self, several: bool) -> np.ndarray:
+        s = self.options.spill
+        return np.array([[s, s], [1.0, s], [s, 1.0], [1.0, 1.0]]) if several else np.ones((1, 2))
+
+    def _widened(
+        self,
+        bank: Bank,
+        prediction: Prediction,
+        w: float,
+        along: np.ndarray,
+        share: np.ndarray,
+        only_v: bool = False,
+    ) -> Bank:
         o = self.options
         v_a, v_v, v_c = o.accel_mps2**2 * w, (o.velocity_mps * w) ** 2, o.clock_mps**2 * w
+        if w <= STEP:
+            v_a, v_v, v_c = o.ramp * v_a, o.ramp * v_v, o.ramp * v_c
+        if only_v:
+            v_a = v_c = 0.0
         cov = bank.cov.copy()
         phase = o.phase_share * prediction.T**2
         for j in range(share.shape[0]):
             a, c = share[j]
-            _add(cov[j], *_rows(prediction.layout), a * v_a, a * v_v, c * v_c, c * v_c * phase)
+            _add(
+                cov[j],
+                *_rows(prediction.layout),
+                a * v_a,
+                a * v_v,
+                c * v_c,
+                c * v_c * phase,
+                along,
+                prediction.C_b_e,
+                o.transverse,
+            )
+            if w > STEP and not only_v and (o.delay or o.jitter):
+                self._delayed(cov[j], prediction, a * v_v, along)
         return bank._replace(cov=cov)
+
+    def _delayed(self, cov, prediction, v_v, along) -> None:
+        o, layout = self.options, prediction.layout
+        d = prediction.C_b_e @ along
+        V = v_v * ((1.0 - o.transverse**2) * np.outer(d, d) + o.transverse**2 * np.eye(3))
+        turned = prediction.phi[layout.phase, layout.v]
+        cross = -o.delay * turned @ V
+        cov[layout.phase, layout.v] += cross
+        cov[layout.v, layout.phase] += cross.T
+        cov[layout.phase, layout.phase] += (o.delay**2 + o.jitter) * turned @ V @ turned.T
 
     def _raised(self, one: Gaussian, prediction: Prediction) -> Gaussian:
         """Variances of the three blocks raised to at least those of `RAISED`."""
@@ -198,14 +273,16 @@ class JumpTriggered:
             cov[rows, rows] = np.maximum(now[rows], sigma**2)
         gained = cov[layout.cd, layout.cd][0, 0] - now[layout.cd][0]
         phase = self.options.phase_share * prediction.T**2
-        _add(cov, *_rows(layout), 0.0, 0.0, 0.0, phase * gained)
+        _add(cov, *_rows(layout), 0.0, 0.0, 0.0, phase * gained, np.zeros(3), prediction.C_b_e, 1.0)
         return Gaussian(one.mean, cov)
 
     def _q(self, prediction: Prediction) -> np.ndarray:
         """Q with the unrest of the accelerometer bias under load."""
-        force = float(np.sqrt(np.sum(prediction.f_b**2)))
+        force = math.hypot(*prediction.f_b.tolist())
         load = max(abs(force - STANDARD_GRAVITY) - 1.0, 0.0) / self.options.reference_mps2
         density = (self.options.load * load) ** 2
+        if self.since_fire * prediction.T < self.options.unrest_s:
+            density += self.options.unrest**2
         return with_noise(prediction, prediction.layout.accel_bias, density)
 
     def _update(
@@ -237,12 +314,11 @@ class JumpTriggered:
         if self.step_weight is None:
             return False
         layout, scale = prediction.layout, self.step_weight
-        variance = prior.cov.diagonal()
-        if variance[layout.cd][0] * scale[-1] ** 2 > 1.0:
+        if prior.cov[layout.cd.start, layout.cd.start] * scale[-1] ** 2 > 1.0:
             return True
         if not has_phases(layout):
             return False
-        return bool(variance[layout.phase].max() * (0.5 * scale[1]) ** 2 > 1.0)
+        return bool(prior.cov.diagonal()[layout.phase].max() * (0.5 * scale[1]) ** 2 > 1.0)
 
     def _fires(self, windowed: float, single: float) -> bool:
         o = self.options
@@ -253,7 +329,9 @@ class JumpTriggered:
         return max(windowed, single) > o.gate
 
 
-def seen_from_a_step(measurement: Measurement, prediction: Prediction) -> Measurement:
+def seen_from_a_step(
+    measurement: Measurement, prediction: Prediction, delay: float = 0.0
+) -> Measurement:
     """A as it is for a velocity and a drift that have stepped at the start of this epoch.
 
     An integration of length L = 2 h whose last part o of it lies after the step has the mean phase
@@ -265,19 +343,17 @@ def seen_from_a_step(measurement: Measurement, prediction: Prediction) -> Measur
         return measurement
     layout, T = prediction.layout, prediction.T
     middle, h = measurement.span[:, 0] - prediction.t_s, measurement.span[:, 1]
-    o = middle + h + T
-    partly = o < 2.0 * h
-    if not partly.any():
-        return measurement
-    o = np.maximum(o, 0.0)
-    early = np.maximum(o - h, 0.0)
     A = measurement.A.copy()
-    columns = np.r_[layout.v, layout.cd]
-    rate = np.where(partly, (o**2 - 2.0 * early**2) / (2.0 * h**2), 1.0)
-    A[:, -1, columns] *= rate[:, None]
-    if A.shape[1] > 2:
-        back = np.where(partly, (T - o**2 / (4.0 * h)) / -middle, 1.0)
-        A[:, 1, columns] *= back[:, None]
+    for columns, after in ((layout.v, (1.0 - delay) * T), (layout.cd, T)):
+        o = middle + h + after
+        partly = o < 2.0 * h
+        o = np.maximum(o, 0.0)
+        early = np.maximum(o - h, 0.0)
+        rate = np.where(partly, (o**2 - 2.0 * early**2) / (2.0 * h**2), 1.0)
+        A[:, -1, columns] *= rate[:, None]
+        if A.shape[1] > 2:
+            back = np.where(partly, (after - o**2 / (4.0 * h)) / -middle, 1.0)
+            A[:, 1, columns] *= back[:, None]
     return measurement._replace(A=A)
 
 
@@ -323,11 +399,22 @@ def _add(
     v_v: float,
     v_c: float,
     v_p: float,
+    along: np.ndarray,
+    C: np.ndarray,
+    transverse: float,
 ) -> None:
     """Add the variances in place; v_p on clock bias and phases alike, fully correlated."""
+    t2 = transverse**2
     for i in range(3):
-        cov[bias + i, bias + i] += v_a
-        cov[v + i, v + i] += v_v
+        cov[bias + i, bias + i] += t2 * v_a
+        cov[v + i, v + i] += t2 * v_v
+        for j in range(3):
+            cov[bias + i, bias + j] += (1.0 - t2) * v_a * (along[i] * along[j])
+            a, b = 0.0, 0.0
+            for k in range(3):
+                a += C[i, k] * along[k]
+                b += C[j, k] * along[k]
+            cov[v + i, v + j] += (1.0 - t2) * v_v * (a * b)
     cov[cd, cd] += v_c
     cov[cb, cb] += v_p
     for i in range(first, last):

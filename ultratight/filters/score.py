@@ -43,12 +43,11 @@ class ScoreTest:
         if update.H is None or update.noise is None:
             raise AttributeError("score test: the update has no H and noise")
         layout = prediction.layout
-        columns = np.r_[layout.v, layout.cd]
-        B = update.H @ prediction.phi[:, columns]
-        now = score(B, update.H, update.noise, update.innovation, update.cov)
-        self.window = self.memory * self.window + now
-        windowed = (1.0 + self.memory) * _quadratic(self.window)
-        return windowed, _quadratic(now)
+        windowed, single = _watch(
+            prediction.phi, layout.v.start, layout.cd.start, update.H, update.noise,
+            update.innovation, update.cov, self.memory, self.window,
+        )  # fmt: skip
+        return (1.0 + self.memory) * windowed, single
 
 
 def score(
@@ -64,15 +63,61 @@ def score(
     return out
 
 
-def _quadratic(found: np.ndarray) -> float:
-    """g' M^-1 g; 0 without information."""
-    M, g = found[:, :-1], found[:, -1]
-    if not (np.isfinite(found).all() and np.trace(M) > 0.0):
-        return 0.0
-    return float(g @ np.linalg.lstsq(M, g, rcond=1e-12)[0])
-
-
 # ---------------------------------------------------------------------------------- kernels
+
+
+@kernel
+def _watch(
+    phi: np.ndarray,
+    v: int,
+    cd: int,
+    H: np.ndarray,
+    noise: np.ndarray,
+    nu: np.ndarray,
+    cov: np.ndarray,
+    memory: float,
+    window: np.ndarray,
+) -> tuple[float, float]:
+    """G' W^-1 G of the window with this epoch, which is taken in, and g' M^-1 g."""
+    m, n = H.shape
+    B, now = np.zeros((m, 4)), np.empty((4, 5))
+    for q in range(m):
+        for a in range(n):
+            if H[q, a] != 0.0:
+                for j in range(4):
+                    B[q, j] += H[q, a] * phi[a, cd if j == 3 else v + j]
+    _score(B, H, noise, nu, cov, now)
+    for i in range(4):
+        for j in range(5):
+            window[i, j] = memory * window[i, j] + now[i, j]
+    return _quadratic(window), _quadratic(now)
+
+
+@kernel
+def _quadratic(found: np.ndarray) -> float:
+    """g' M^-1 g of (M, g); directions without information count for nothing."""
+    c = found.shape[0]
+    L, total = np.zeros((c, c)), 0.0
+    e = np.empty(c)
+    for j in range(c):
+        pivot = found[j, j]
+        for k in range(j):
+            pivot -= L[j, k] * L[j, k]
+        if not pivot > 1e-12 * found[j, j]:
+            e[j] = 0.0
+            continue
+        root = np.sqrt(pivot)
+        s = found[j, c]
+        for k in range(j):
+            s -= L[j, k] * e[k]
+        e[j] = s / root
+        total += e[j] * e[j]
+        for i in range(j + 1, c):
+            s = found[i, j]
+            for k in range(j):
+                s -= L[i, k] * L[j, k]
+            L[i, j] = s / root
+    return total
 
 
 @kernel(fastmath=FAST_SUM)
