@@ -68,11 +68,11 @@ def contradictions(s: Scenario) -> Found:
             "true",
             'kind = "model": samples hold the other satellites themselves',
         )
-    coherent = tight and receiver.measurement == "coherent"
+    coherent = tight and receiver.measurement != "differential"
     if coherent and not receiver.knows.data_bits and not _all_pilots(s):
         refuse(
             "receiver.measurement receiver.knows.data_bits",
-            '"coherent" without receiver.knows.data_bits',
+            f'"{receiver.measurement}" without receiver.knows.data_bits',
             'data_bits = true, "differential", or signals that are pilots',
         )
     if s.jump_window_s and not s.jump_window_s[0] < s.jump_window_s[1] <= s.duration_s:

@@ -132,8 +132,8 @@ class Receiver(Table):
     """Ultra-tight only; see `ultratight filters`, or your own: FILE.py:NAME, package.module:NAME"""
     states: Literal[17, 20] | None = None
     """20: three accelerometer scale factors more; by default what the filter's row says"""
-    measurement: Literal["coherent", "differential"] = "coherent"
-    """Ultra-tight only: carrier phase with known data bits, or phase change within a bit"""
+    measurement: Literal["coherent", "half-bits", "differential"] = "coherent"
+    """Ultra-tight only: carrier phase with known data bits, of whole or half bits, or its change"""
     epoch_s: Annotated[float, Field(ge=0.001, le=0.1)] = 0.02
     """Ultra-tight closure: one filter step and one command; scalar loops close at their own"""
     """Ultra-tight only: how often the filter updates"""

@@ -164,7 +164,8 @@ def new_closure(scenario: Scenario, knows: Knows, filter: Filter | None = None) 
             except ValueError as error:
                 raise InvalidInput(f"receiver.filter: {error}") from error
         settings = Settings(
-            measurement=r.measurement,
+            measurement="differential" if r.measurement == "differential" else "coherent",
+            half_bits=r.measurement == "half-bits" or getattr(filter, "half_bits", False),
             hand_over_s=r.hand_over_s,
             fall_back=r.fall_back,
             epoch_s=r.epoch_s,

@@ -12,11 +12,12 @@ from ultratight.filters.jump_triggered import (
     BOTH,
     CLOCK,
     JTQ,
+    JTQ_R,
     NONE,
     JumpOptions,
-    seen_from_a_step,
 )
-from ultratight.filters.multiple_model import merged
+from ultratight.filters.multiple_model import bank_of, merged
+from ultratight.filters.opened_blocks import seen_from_a_step
 
 N, NB, T = 24, 7, 0.02
 QUIET = replace(JTQ, gate=np.inf)
@@ -170,11 +171,9 @@ def opened(make, options, df, filter_name="jtq"):
     jtq = make_filter(filter_name, several=options)
     flight = Flight(make, jtq, df=df)
     flight.fly(29)
-    step = make.prediction(N, NB, layout_=flight.layout, df_b=np.array([df, 0.0, 0.0]))
+    step = make.prediction(N, NB, flight.phi, layout_=flight.layout, df_b=np.array([df, 0.0, 0.0]))
     jtq.fed_bias = np.zeros(3)
     before = Gaussian(np.zeros(N), flight.cov)
-    from ultratight.filters.multiple_model import bank_of
-
     return before.cov, jtq._open(bank_of(before, np.ones(1)), step).cov
 
 
@@ -258,6 +257,44 @@ def test_a_step_inside_an_integration(make):
         assert found[i, 2, 16] == pytest.approx(rate, abs=1e-4)
         np.testing.assert_allclose(found[i, 2, 3:6], A[i, 2, 3:6] * found[i, 2, 16], atol=1e-12)
     np.testing.assert_array_equal(found[:, 0], A[:, 0])
+
+
+def test_blocks_open_along_the_change_of_force(make):
+    """JTQ-R: across the change a tenth of the size; on a ramp 0.3 of the variance."""
+    before, covs = opened(make, replace(JTQ_R, gate=np.inf), 100.0, "jtq-r")
+    w, gained = 0.9995, covs[ACCELERATION] - before
+    np.testing.assert_allclose(
+        np.diag(gained)[9:12], 4.0 * w * np.array([1, 0.01, 0.01]), rtol=1e-9
+    )
+    np.testing.assert_allclose(np.diag(gained)[3:6], w**2 * np.array([1, 0.01, 0.01]), rtol=1e-9)
+    before, covs = opened(make, replace(JTQ_R, gate=np.inf), 1.0, "jtq-r")
+    ramp = np.diag(covs[ACCELERATION] - before)[9]
+    assert ramp == pytest.approx(0.3 * 4.0 * 0.0095, rel=1e-9)
+
+
+def test_what_is_usual_triggers_nothing(make):
+    """Vibration of 2 g: after half a second no changes of force, but for one beyond them."""
+    jtq = make_filter("jtq-r", several=replace(JTQ_R, gate=np.inf))
+    flight = Flight(make, jtq, df=0.0)
+    rng, noted = np.random.default_rng(5), []
+    for k in range(120):
+        df = np.array([0.0, 0.0, 0.0])
+        df[0] = 600.0 if k == 100 else 20.0 * rng.standard_normal()
+        step = make.prediction(N, NB, layout_=flight.layout, df_b=df - jtq.fed_bias)
+        u = jtq.step(Gaussian(np.zeros(N), flight.cov), step, nothing())
+        flight.cov = u.cov
+        noted.append(len(jtq.notes))
+    assert sum(noted[:20]) > 5
+    assert sum(noted[25:100]) == 0
+    assert noted[100] == 1
+
+
+def nothing():
+    none = Phases()
+    return Measurement(
+        np.zeros((0, 3)), np.zeros((0, 3, N)), np.zeros((0, 3, 3)), none.h, none.h_jacobian,
+        np.zeros(0, dtype=np.int64),
+    )  # fmt: skip
 
 
 @pytest.mark.nojit

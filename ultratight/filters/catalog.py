@@ -22,7 +22,7 @@ from ultratight.filters.gaussian import (
     Update,
 )
 from ultratight.filters.interval import IntervalQ, VelocityQ, intersect_boxes, intersect_printed
-from ultratight.filters.jump_triggered import IO, J1, JTQ
+from ultratight.filters.jump_triggered import IO, J1, JTQ, JTQ_E, JTQ_R
 from ultratight.filters.multiple_model import IMM3, ImmOptions
 from ultratight.filters.robust import Ishakf
 from ultratight.filters.rules import Rule, get_rule
@@ -149,6 +149,11 @@ CATALOG: dict[str, Recipe] = {
                    several=ImmOptions()),
     "imm3": Recipe("three of them", _IMM, several=IMM3),
     "jtq": Recipe(f"{_JTQ}, four hypotheses", _SIZES, "gh3", 4, several=JTQ),
+    "jtq-e": Recipe(f"{_JTQ}, four hypotheses, half-bit prompts kept apart", _SIZES, "gh3", 4,
+                    several=JTQ_E),
+    "jtq-r": Recipe("jtq-e opened along the change of force, deaf to usual vibration, restless"
+                    " after a score test; meant for receiver.fall_back = true",
+                    _SIZES, "gh3", 4, several=JTQ_R),
     "j1": Recipe(f"{_JTQ}, one hypothesis with everything opened", _SIZES, "gh3", 4, several=J1),
     "kf-sage-husa": Recipe(f"{_EKF} of estimated R and Q", WEI, "linearised", noise=SageHusa()),
     "kf-sage-husa-1": Recipe(

@@ -70,7 +70,8 @@ class LockMonitor:
         nu = update.innovation[1::k]
         if nu.size:
             square = nu * nu / update.variance(1, k)
-            self.quadrature.append(float(square.sum()) / nu.size)
+            # one epoch alone is a surprise, not a loss
+            self.quadrature.append(min(float(square.sum()) / nu.size, 2.0 * NIS_LIMIT))
             del self.quadrature[: -self.window]
 
     def loss(self) -> str:

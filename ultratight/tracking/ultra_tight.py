@@ -20,6 +20,7 @@ from ultratight.ins.error_state import (
 )
 from ultratight.ins.imu import Increments
 from ultratight.tracking.code_model import code_rows
+from ultratight.tracking.half_bit_phases import kept_apart
 from ultratight.tracking.half_bits import Bits, HalfBits
 from ultratight.tracking.knows import Knows
 from ultratight.tracking.lock import LockMonitor
@@ -47,6 +48,7 @@ class Settings(NamedTuple):
     """What the closure may be told; see `ultratight.scenario.Receiver` for the meanings."""
 
     measurement: str = "coherent"
+    half_bits: bool = False
     hand_over_s: float = 2.0
     fall_back: bool = True
     return_s: float = 2.0
@@ -160,11 +162,14 @@ class UltraTight:
 
     def _measurement(self, bits: Bits) -> Measurement:
         k, layout = self.knows, self.layout
-        return measure(
+        found = measure(
             bits, self.steering, self.t_s, layout.n, layout.phase.start, self.codes,
             k.channels.pilot, self.spacing_chips, self.noise.clock_sf, self.amplitudes,
             k.data_bits, k.first_bit, self.clock_lag_s, self.settings.epoch_s,
         )  # fmt: skip
+        if not (self.coherent and self.settings.half_bits):
+            return found
+        return kept_apart(found, bits, k.channels.pilot, k.data_bits, k.first_bit)
 
     def _prediction(self) -> Prediction:
         s, n, T = self.steering, self.layout.n, self.settings.epoch_s
