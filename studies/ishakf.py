@@ -597,17 +597,20 @@ def prototype(m: dict[str, Group]) -> list[Claim]:
         Claim("ishakf-p-falls", "V3 needs less than half of V2's time after the falls", source,
               "1.2 against 4.3 s",
               tuple(number(f"V3 / V2, {STEPS_S[j]:.0f} s", times["V3"][j] / times["V2"][j],
-                           Must("below", 0.5)) for j in (1, 3)), "the mean of 20 eps falls within a second", target=True),
+                           Must("below", 0.5)) for j in (1, 3)),
+              "the mean of 20 eps falls within a second", target=True),
         Claim("ishakf-p-rises", "V3 needs less time than V2 after the rises", source,
               "1.45-1.9 against 2.4-2.5 s",
               tuple(number(f"V3 / V2, {STEPS_S[j]:.0f} s", times["V3"][j] / times["V2"][j],
-                           Must("below", 1.0)) for j in (0, 2)), "a single large eps is enough", target=True),
+                           Must("below", 1.0)) for j in (0, 2)),
+              "a single large eps is enough", target=True),
         Claim("ishakf-p-rms", "V3 is better by 5 % 0.5-2 s after 60 -> 15 m, and equal over all",
               source, "within 2 % over all",
               (ratio("rms V3 / V2, 0.5-2 s", nominal["V3"], nominal["V2"], after(40.0, 0.5, 2.0),
                      Must("below", 0.95)),
                number("largest / smallest rms of V2, V3, V4", max(whole) / min(whole),
-                      Must("below", 1.02))), "what V3 gains then it loses 2-4 s after the step", target=True),
+                      Must("below", 1.02))),
+              "what V3 gains then it loses 2-4 s after the step", target=True),
         Claim("ishakf-p-tables", "rms errors are the prototype's", source,
               "V0 15.91, V2 14.01, V4 14.16 m; with outliers V2 28.7, V3 37.6, V4 19.7 m",
               (*(number(n, pooled(nominal[n].error), Must("within", (0.97 * x, 1.03 * x)), "m")
@@ -618,7 +621,8 @@ def prototype(m: dict[str, Group]) -> list[Claim]:
               "other random numbers; with outliers a few bursts decide", target=True),
         Claim("ishakf-p-c3", "With c3 = 20 the rises are met sooner", source, "0.85 and 1.25 s",
               tuple(number(f"{STEPS_S[j]:.0f} s", t80(wide)[j], Must("below", 1.5), "s")
-                    for j in (0, 2)), "fewer of the first large samples are beyond c3", target=True),
+                    for j in (0, 2)),
+              "fewer of the first large samples are beyond c3", target=True),
     ]  # fmt: skip
 
 
