@@ -113,6 +113,15 @@ def test_exact_measurements(r):
 
 
 @pytest.mark.nojit
+def test_a_column_too_small_for_the_sum_still_moves_the_state():
+    """Var = 1 + 1e-20 rounds to 1, but the gain of the other state is 1e-11: P h' / S, by hand."""
+    P = np.array([[1.0, 1e-11], [1e-11, 1e-20]])
+    F, mean = factor_ud(P), np.zeros(2)
+    condition_ud(mean, F, np.ones(1), np.array([[0.0, 1.0]]), np.ones((1, 1, 1)))
+    np.testing.assert_allclose(mean, [1e-11, 1e-20], rtol=1e-12)
+
+
+@pytest.mark.nojit
 def test_singular_noise_of_a_block(make):
     """Two numbers with one noise between them: their difference is known exactly."""
     rng = np.random.default_rng(3)

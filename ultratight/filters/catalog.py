@@ -12,6 +12,7 @@ from typing import Any, Protocol
 
 from ultratight.filters import own
 from ultratight.filters.adaptive import SageHusa
+from ultratight.filters.classified import AEKF, GATE, REKF, Classified
 from ultratight.filters.factored import PLAIN, make_pair
 from ultratight.filters.fading import AS_PRINTED, BLOCK, CLAMPED, FITTED, Fading, FadingOptions
 from ultratight.filters.gaussian import (
@@ -64,6 +65,7 @@ class Recipe:
     interval_q: IntervalQ | None = None  # applied before the prediction
     velocity_q: VelocityQ | None = None  # so is this
     noise: SageHusa | Ishakf | None = None  # R and Q from innovations, or R from residuals
+    weights: Classified | None = None  # R raised for suspect residuals
     form: str = PLAIN  # row of `factored.FORMS`: a factor of P is kept in place of P
     states: int = 17  # 20: with three accelerometer scale factors
     several: Several | None = None  # a bank of hypotheses in place of one Gaussian
@@ -79,6 +81,9 @@ BY_SCALE = IntervalQ(latency_s=0.0)
 BY_CLOCK = IntervalQ(g_sensitivity_ppb_per_g=1.0)
 _EKF = "extended Kalman filter"
 DUAN = "Duan, Gong, Xu & Zhao, improved Sage-Husa filter for trajectory data; reconstructed"
+GUO = "Guo, Liu, Shi & Sun, adaptive classified fault-tolerant EKF; reconstructed from its text"
+SOKEN = "Soken & Hajiyev, ISA Transactions 49 (2010); multiple scale factors"
+YU = "after Yu (2012), as Guo et al. describe it"
 WEI = "Wei, Qin, Zhang & Zhang, J. Chinese Inertial Technology 20(6), 2012"
 _IMM = "Blom & Bar-Shalom, IEEE TAC 33 (1988)"
 _JTQ = "relinearised quadrature filter, opened when the measured specific force jumps"
@@ -175,6 +180,18 @@ CATALOG: dict[str, Recipe] = {
     "kf-robust-gain": Recipe(f"{_EKF} whose gain gives way to outliers, per channel", DUAN,
                              "linearised", noise=Ishakf(R=False, adaptive=False)),
     "kf-ishakf": Recipe(f"{_EKF} with all three", DUAN, "linearised", noise=Ishakf()),
+    "kf-acekf": Recipe(
+        f"{_EKF} in UD form; R raised per channel by the class of its residual", GUO, "linearised",
+        weights=Classified(), form="ud",
+    ),
+    "kf-rekf": Recipe(
+        f"{_EKF}; R raised number by number where a channel's NIS is large", SOKEN, "linearised",
+        weights=REKF,
+    ),
+    "kf-aekf": Recipe(f"{_EKF}; R raised by one factor per channel, at all times", YU, "linearised",
+                      weights=AEKF),
+    "kf-gate": Recipe(f"{_EKF}; a channel whose NIS is beyond the 95 % point is left out",
+                      "Bar-Shalom, Li & Kirubarajan (2001), 5.4", "linearised", weights=GATE),
     "io": Recipe("relinearised quadrature filter, reopened by a score test alone", _SIZES, "gh3",
                  4, several=IO),
 }  # fmt: skip
@@ -193,6 +210,7 @@ class RecipeFilter:
         self.fading = None if recipe.fading is None else Fading(recipe.fading)
         self.pair = make_pair(recipe.form)
         self.noise = None if recipe.noise is None else recipe.noise.memory()
+        self.weights = None if recipe.weights is None else recipe.weights.memory(self.pair)
 
     @property
     def states(self) -> int:
@@ -205,6 +223,8 @@ class RecipeFilter:
             self.fading.reset()
         if self.noise is not None:
             self.noise.reset()
+        if self.weights is not None:
+            self.weights.reset()
 
     def step(self, state: Gaussian, prediction: Prediction, measurement: Measurement) -> Update:
         """Widen, predict, update (twice where P is inflated), intersect."""
@@ -215,6 +235,8 @@ class RecipeFilter:
             prediction = recipe.velocity_q.apply(prediction)
         if self.noise is not None:
             return self.noise.step(state, prediction, measurement, self.rule, recipe.iterations)
+        if self.weights is not None:
+            return self.weights.step(state, prediction, measurement, self.rule, recipe.iterations)
         if self.fading is not None:
             prior, result = self.fading.step(
                 state, prediction, measurement, self.rule, recipe.iterations

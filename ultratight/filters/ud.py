@@ -285,17 +285,17 @@ def bierman(
     before = r
     for j in range(n):
         a = before + f[j] * g[j]
-        if a > before:  # otherwise nothing of this column is seen
-            if before > 0.0:
-                F[j, j] *= before / a
-                c = f[j] / before
-            else:  # a number without noise takes all that the column had
-                F[j, j] = before
-                c = before
+        if before > 0.0:
+            # also where a rounds to before: what f_j brings to the gain may be all there is
+            F[j, j] *= before / a
+            c = f[j] / before
             for i in range(j):
                 u = F[i, j]
-                if before > 0.0:
-                    F[i, j] = u - c * gain[i]
+                F[i, j] = u - c * gain[i]
                 gain[i] += g[j] * u
+        elif a > 0.0:  # a number without noise takes all that the column had
+            F[j, j] = before
+            for i in range(j):
+                gain[i] += g[j] * F[i, j]
         before = a
     return before
