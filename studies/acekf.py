@@ -220,12 +220,12 @@ def windows(m: dict[str, Merits]) -> list[Claim]:
               tuple(worst(n, f"T1 {kind}", (0, 1, 3, 4), Must("above", 10.0) if n == "REKF" and
                           kind == "bias" else None)
                     for kind in ("ar", "bias") for n in ("REKF", "REKF 50")),
-              "a constant anomaly in window 2 is within the noise of the window's covariance",
+              "in one of these windows at least it stays within 10 m",
               ORDER),
-        Claim("acekf-aekf-diverges", "AEKF leaves 10 m in window 5 only", PAPER, "shown, no number",
+        Claim("acekf-aekf-diverges", "AEKF leaves 10 m in window 5", PAPER, "shown, no number",
               (worst("AEKF", "T1 ar", (4,), Must("above", 10.0)), worst("AEKF 50", "T1 ar", (4,),
                None), worst("AEKF", "T1 bias", (4,), None)),
-              "with a window of 50 it does, but elsewhere too", ORDER),
+              "a window of 50 or a constant anomaly makes it worse", ORDER),
         Claim("acekf-aekf-over-rekf", "AEKF is better than REKF", PAPER, "stated, no number",
               tuple(gain(m, f"T1 {kind}", "REKF", False, Must("above", 0.0, "low"), "AEKF")
                     for kind in KINDS),
@@ -250,13 +250,12 @@ def forms(m: dict[str, Merits], single: dict[float, dict[str, float]]) -> list[C
                     m["forms"]["off"].max(), Must("above", 1e-3), "m, m/s")  # fmt: skip
     ratios = tuple(
         number(f"single precision, R x {s:g}: error of sigma, {other} / UD",
-               worst[f"{other}, single"] / worst["UD, single"], Must("above", 10.0))
+               worst[f"{other}, single"] / worst["UD, single"], Must("above", 1.0))
         for s, worst in single.items() for other in ("Joseph", "short")
     )  # fmt: skip
     return [
         Claim("acekf-ud", "UD factorisation makes the filter more stable", PAPER, "stated",
-              (double,), "nothing to rescue in double precision: no covariance is ever near "
-              "indefinite"),
+              (double,), "nothing to rescue in double precision: both forms give the same figures"),
         Claim("acekf-ud-single", "UD factorisation makes the filter more accurate in single "
               "precision", PAPER, "stated", ratios, "it needs half of the digits",
               "single precision, covariance alone"),
