@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -168,7 +169,11 @@ def test_progress_is_plain_when_piped(say: Callable[..., Any], monkeypatch) -> N
 
     monkeypatch.setattr(ultratight.simulation, "run", run)
     lines = say("run", "jump-1").err.splitlines()
-    assert lines == [f"flying jump-1: {10 * k} %" for k in range(11)]
+    assert [line.split(",")[0] for line in lines] == [
+        f"flying jump-1: {10 * k} %" for k in range(11)
+    ]
+    assert "," not in lines[0] + lines[-1]  # nothing is known at first, nothing left at last
+    assert all(re.fullmatch(r"[^,]*(, about \d+ s left)?", line) for line in lines)
 
 
 def test_validate_takes_the_options_of_run(say: Callable[..., Any], tmp_path: Path) -> None:

@@ -141,7 +141,7 @@ def test_bad_input_is_refused_before_work(
 def test_ctrl_c_keeps_what_is_finished(tmp_path: Path) -> None:
     """130, one line that says what is kept, and the same command goes on."""
     journal = tmp_path / "out" / "journal.txt"
-    words = [*BASE, "--runs", "300", "--out", str(tmp_path / "out")]
+    words = [*BASE, "--runs", "20000", "--out", str(tmp_path / "out")]
     code = f"import sys\nfrom ultratight.__main__ import main\nsys.exit(main({words!r}))"
     wanted = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
     process = subprocess.Popen(
@@ -157,6 +157,6 @@ def test_ctrl_c_keeps_what_is_finished(tmp_path: Path) -> None:
     assert process.returncode == 130
     last = said.splitlines()[-1]
     n = journal.read_bytes().count(b"\n") - 1
-    assert last.startswith(f"interrupted, {n} of 300 runs are kept in")
+    assert last.startswith(f"interrupted, {n} of 20000 runs are kept in")
     assert "the same command goes on" in last
     assert ", about " in said or n < 60  # time left, from the second line on
