@@ -36,6 +36,12 @@ def test_a_sweep_is_what_single_runs_are() -> None:
                 assert at.converged == alone.summary["converged"]
 
 
+def test_closures_without_attitude_can_be_swept() -> None:
+    data = ultratight.sweep(short(), {"receiver.closure": ["scalar", "ultra-tight"]}, jobs=1)
+    assert not any(data.failure.values.ravel())
+    assert (data.n_satellites == 4).all()
+
+
 def test_run_r_depends_on_nothing_else() -> None:
     full = ultratight.sweep(short(), OVER, runs=3, seed=5, jobs=1)
     part = ultratight.sweep(short(), {"receiver.filter": ["fiqkf-r"]}, runs=2, seed=6, jobs=1)

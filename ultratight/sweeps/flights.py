@@ -31,7 +31,8 @@ from ultratight.sweeps.series import series
 
 COST = ("wall_s", "loop_s", "realtime_factor", "cpu_path")
 """Of a summary: what belongs to the machine"""
-_STATE = ("t_s", "r_eb_e", "v_eb_e", "C_b_e")
+_STATE = ("r_eb_e", "v_eb_e", "C_b_e")
+"""What a receiver estimates; a scalar closure has no attitude"""
 Record = dict[str, Any]
 
 
@@ -166,8 +167,7 @@ def values_of(text: str) -> np.ndarray:
 def _estimate_sha256(run: Run) -> str:
     """Of the whole trajectory that the receiver has estimated."""
     digest = hashlib.sha256()
-    for name in _STATE:
-        values = run.t_s if name == "t_s" else run[name]
+    for values in (run.t_s, *(run[name] for name in _STATE if name in run)):
         digest.update(np.ascontiguousarray(values, "<f8").data)
     return digest.hexdigest()
 
