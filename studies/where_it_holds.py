@@ -152,7 +152,7 @@ def zones(ds: xr.Dataset) -> list[Claim]:
                 *(hits(name, 20_000, Must("above", 0.9))
                   for name in ("20-state",) if name in ds["filter"].values),
             ),
-            why="the fading reacts to innovations: here the phase has turned before it does",
+            why="ten satellites here, seven there; FIQKF-R's error grows with the scale factor",
         ),
     ]  # fmt: skip
 
