@@ -24,7 +24,7 @@ from ultratight.filters.gaussian import (
 )
 from ultratight.filters.interval import IntervalQ, VelocityQ, intersect_boxes, intersect_printed
 from ultratight.filters.jump_triggered import IO, J1, JTQ, JTQ_E, JTQ_R
-from ultratight.filters.multiple_model import IMM3, ImmOptions
+from ultratight.filters.multiple_model import IMM3, MMAE, ImmOptions
 from ultratight.filters.robust import Ishakf
 from ultratight.filters.rules import Rule, get_rule
 
@@ -153,6 +153,8 @@ CATALOG: dict[str, Recipe] = {
     "imm2": Recipe("two quadrature filters, without and with velocity noise, mixed", _IMM,
                    several=ImmOptions()),
     "imm3": Recipe("three of them", _IMM, several=IMM3),
+    "mmae": Recipe("five quadrature filters of different velocity noise, weighed, not mixed",
+                   "Magill, IEEE TAC 10 (1965)", "gh3", several=MMAE),
     "jtq": Recipe(f"{_JTQ}, four hypotheses", _SIZES, "gh3", 4, several=JTQ),
     "jtq-e": Recipe(f"{_JTQ}, four hypotheses, half-bit prompts kept apart", _SIZES, "gh3", 4,
                     several=JTQ_E),

@@ -1,4 +1,4 @@
-"""A bank of hypotheses over one state: weights, moment-matching merge, mixing, and the IMM filter.
+"""A bank of hypotheses over one state: weights, moment-matching merge, mixing; IMM and MMAE.
 
 Hypothesis j is a Gaussian (x_j, P_j) with the log weight log mu_j.  A bank of several hypotheses
 reports the first two moments of its mixture,
@@ -124,13 +124,17 @@ class ImmOptions:
 
     coherent_q: tuple[float, ...] = (0.0, 0.01)  # [m2/s3]
     differential_q: tuple[float, ...] = (0.0, 0.1)  # [m2/s3]
-    stay: tuple[float, ...] = (0.99, 0.95)  # probability per epoch
+    stay: tuple[float, ...] | None = (0.99, 0.95)  # probability per epoch; None: not mixed
+    floor: float = WEIGHT_FLOOR
 
     def __post_init__(self) -> None:
-        if not len(self.coherent_q) == len(self.differential_q) == len(self.stay):
+        n = len(self.coherent_q if self.stay is None else self.stay)
+        if not (n == len(self.coherent_q) == len(self.differential_q) and n > 0):
             raise ValueError(f"{self}: expected as many densities in both models as probabilities")
-        if min(self.coherent_q + self.differential_q) < 0.0:
+        if not all(q >= 0.0 for q in self.coherent_q + self.differential_q):
             raise ValueError(f"velocity noise densities: {self}, expected none below 0")
+        if not 0.0 <= self.floor < 1.0 / n:
+            raise ValueError(f"floor: {self.floor}, expected 0 <= floor < 1 / {n}")
 
     def make(self, rule: Rule, iterations: int) -> Imm:
         """The filter with these options."""
@@ -138,14 +142,16 @@ class ImmOptions:
 
 
 IMM3 = ImmOptions((0.0, 0.01, 0.1), (0.0, 0.1, 0.3), (0.99, 0.95, 0.95))
+_DECADES = (0.0, 0.001, 0.01, 0.1, 1.0)
+MMAE = ImmOptions(_DECADES, _DECADES, None, 1e-6)
 
 
 class Imm:
-    """Interacting multiple models; between epochs it keeps the hypotheses and their weights."""
+    """Multiple models, mixed or not; between epochs it keeps the hypotheses and their weights."""
 
     def __init__(self, options: ImmOptions, rule: Rule, iterations: int = 1) -> None:
         self.options, self.rule, self.iterations = options, rule, iterations
-        self.transition = stay(options.stay)
+        self.transition = None if options.stay is None else stay(options.stay)
         self.bank: Bank | None = None
 
     def reset(self) -> None:
@@ -157,16 +163,17 @@ class Imm:
         options = self.options
         before = self.bank
         if before is None:
-            share = np.full(len(options.stay), 1.0 / len(options.stay))
-            before = bank_of(state, share)
-        before = mixed(before, self.transition)
+            nh = len(options.coherent_q)
+            before = bank_of(state, np.full(nh, 1.0 / nh))
+        if self.transition is not None:
+            before = mixed(before, self.transition)
         coherent = has_phases(prediction.layout)
         updates = []
         for j, q_v in enumerate(options.coherent_q if coherent else options.differential_q):
             q = with_noise(prediction, prediction.layout.v, q_v)
             prior = predict(Gaussian(before.mean[j], before.cov[j]), prediction.phi, q)
             updates.append(update(prior, measurement, self.rule, self.iterations))
-        bank = weighed(before, updates)
+        bank = weighed(before, updates, options.floor)
         result = report(bank, updates)
         self.bank = fed_back(bank, result.mean)
         return result
