@@ -54,6 +54,50 @@ BAD_VALUES = {
     "coherent without bits": (["receiver.knows.data_bits=false"], "expected data_bits = true"),
     "satellite twice": (["prns=[7, 8, 7]"], "prns: [7, 8, 7] given, expected each satellite once"),
     "satellite name": (['channel.cn0_by_prn_dbhz={"GPS7"=30}'], "channel.cn0_by_prn_dbhz.GPS7"),
+    "disturbance NaN": (
+        ["channel.disturbance=[{t0_s=1,t1_s=2,cn0_change_db=nan}]"],
+        "channel.disturbance[0].cn0_change_db: nan given, expected a finite number",
+    ),
+    "disturbance backwards": (
+        ["channel.disturbance=[{t0_s=2,t1_s=2,cn0_change_db=-15}]"],
+        "channel.disturbance[0].t1_s: 2 given, expected more than t0_s = 2",
+    ),
+    "disturbance after the end": (
+        ["channel.disturbance=[{t0_s=50,cn0_change_db=-15}]"],
+        "channel.disturbance[0].t0_s: 50 given, expected less than duration_s = 50",
+    ),
+    "disturbance beyond the end": (
+        ["channel.disturbance=[{t0_s=1,t1_s=50.5,cn0_change_db=-15}]"],
+        "channel.disturbance[0].t1_s: 50.5 given, expected at most duration_s = 50",
+    ),
+    "disturbance before the start": (
+        ["channel.disturbance=[{t0_s=-1,cn0_change_db=-15}]"],
+        "channel.disturbance[0].t0_s: -1 given, expected 0 or more",
+    ),
+    "disturbance between nodes": (
+        ["channel.disturbance=[{t0_s=1.001,pseudorange_m=100}]"],
+        "channel.disturbance[0].t0_s: 1.001 given, expected a multiple of 0.005 s",
+    ),
+    "disturbance of nothing": (
+        ["channel.disturbance=[{t0_s=1}]"],
+        "channel.disturbance[0]: no change given, expected cn0_change_db, pseudorange_m or",
+    ),
+    "disturbance of nobody": (
+        ["channel.disturbance=[{t0_s=1,prns=[],pseudorange_m=100}]"],
+        "channel.disturbance[0].prns: [] given, expected some satellites",
+    ),
+    "disturbance without begin": (
+        ["channel.disturbance=[{cn0_change_db=-15}]"],
+        "channel.disturbance[0].t0_s: missing, expected a value",
+    ),
+    "fault that grows too far": (
+        ["channel.disturbance=[{t0_s=1,pseudorange_rate_mps=9000}]"],
+        "expected a fault of at most 100000 m at the end, not 441000",
+    ),
+    "disturbance with an unknown key": (
+        ["channel.disturbance=[{t0_s=1,cn0_db=-15}]"],
+        "channel.disturbance[0].cn0_db: unknown key, did you mean cn0_change_db?",
+    ),
     "not key=value": (["cn0_dbhz"], "--set 'cn0_dbhz': expected key=value"),
     "the same key twice": (["cn0_dbhz=1", "cn0_dbhz=2"], "cn0_dbhz: given twice, expected once"),
     "no navigation file": (["constellation=brdc.21p"], "there is no such file"),
@@ -108,6 +152,10 @@ def test_a_bad_file_is_named(say: Callable[..., Any], tmp_path: Path, kind: str)
         ),  # a day without ephemerides
         (["mask_deg=60"], "satellites of embedded at or above 60 deg"),
         (["prns=[7, 8]"], "expected at least 4"),
+        (
+            ["channel.disturbance=[{t0_s=1,prns=[7, 9, 32],pseudorange_m=100}]"],
+            "channel.disturbance[0].prns: 7, 32 given, expected some of the satellites in view: 2,",
+        ),
     ],
 )
 def test_a_sky_that_cannot_be_flown(

@@ -19,6 +19,9 @@ Found = list[tuple[tuple[str, ...], str]]
 """Keys concerned, and the line that says what is wrong"""
 ROW_S = 0.02
 """Scalar closures keep a row this often"""
+NODE_S = 0.005
+"""Spacing of the nodes of the truth"""
+LARGEST_FAULT_M = 1e5
 SPEED_LIMIT_MPS = 12_000.0
 """No vehicle of ours is faster than escape velocity"""
 
@@ -86,7 +89,10 @@ def contradictions(s: Scenario) -> Found:
         refuse("trajectory profile", config.show(s.trajectory), "no profile beside it: profile=[]")
     if s.prns is not None and len(set(s.prns)) < len(s.prns):
         refuse("prns", config.show(s.prns), "each satellite once")
-    parts = (_unknown_names, _signal_contradictions, _loop_contradictions, _profile_contradictions)
+    parts = (
+        _unknown_names, _signal_contradictions, _loop_contradictions, _profile_contradictions,
+        _disturbance_contradictions,
+    )  # fmt: skip
     return found + [line for part in parts for line in part(s)]
 
 
@@ -254,6 +260,41 @@ def _profile_contradictions(s: Scenario) -> Found:
     if not found and fastest > SPEED_LIMIT_MPS:
         text = f"profile: reaches {fastest:g} m/s, expected at most {SPEED_LIMIT_MPS:g} m/s"
         found.append((("profile", "speed_mps"), text))
+    return found
+
+
+def _disturbance_contradictions(s: Scenario) -> Found:
+    found: Found = []
+    for i, d in enumerate(s.channel.disturbance):
+        row = f"channel.disturbance[{i}]"
+
+        def refuse(key: str, given: str, expected: str, row: str = row) -> None:
+            name = f"{row}.{key}" if key else row
+            keys = ("channel.disturbance", "duration_s")
+            found.append((keys, f"{name}: {given} given, expected {expected}"))
+
+        end = s.duration_s if d.t1_s is None else d.t1_s
+        if d.t1_s is not None and d.t1_s <= d.t0_s:
+            refuse("t1_s", f"{d.t1_s:g}", f"more than t0_s = {d.t0_s:g}")
+        elif d.t0_s >= s.duration_s:
+            refuse("t0_s", f"{d.t0_s:g}", f"less than duration_s = {s.duration_s:g}")
+        elif end > s.duration_s:
+            refuse("t1_s", f"{end:g}", f"at most duration_s = {s.duration_s:g}")
+        for key, t in (("t0_s", d.t0_s), ("t1_s", d.t1_s)):
+            if t and not _is_multiple(t, NODE_S):
+                refuse(key, f"{t:.9g}", f"a multiple of {NODE_S:g} s")
+        if d.prns is not None and (not d.prns or len(set(d.prns)) < len(d.prns)):
+            refuse("prns", config.show(d.prns), "some satellites, each once; left out: all")
+        if not (d.cn0_change_db or d.pseudorange_m or d.pseudorange_rate_mps):
+            change = "cn0_change_db, pseudorange_m or pseudorange_rate_mps other than zero"
+            refuse("", "no change", change)
+        last = d.pseudorange_m + d.pseudorange_rate_mps * (end - d.t0_s)
+        if abs(last) > LARGEST_FAULT_M:
+            refuse(
+                "pseudorange_rate_mps",
+                f"{d.pseudorange_rate_mps:g}",
+                f"a fault of at most {LARGEST_FAULT_M:g} m at the end, not {last:g}",
+            )
     return found
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from signals.arcs import arcs
-from signals.constants import C_MPS, GPS_L1_HZ
+from signals.constants import C_MPS
 from signals.nco import Nco, Taps
 from signals.propagation import elevation_azimuth, predict_epochs
 from ultratight.consistency import ROW_S
@@ -118,6 +118,8 @@ def truth_variables(world: World, t_s: np.ndarray) -> dict[str, Variable]:
         for name in ("accel_bias", "gyro_bias")
     )
     elevation, azimuth = elevation_azimuth(r[:, None, :], u)
+    fault = world.effects(t_s)
+    rate += fault.delay_rate_mps.T
     vector, channel = (EPOCH, "xyz"), (EPOCH, "channel")
     return {
         "tap": Variable(world.offset_chips, ("tap",), "chips", "delay of the replica: E, P, L"),
@@ -140,13 +142,19 @@ def truth_variables(world: World, t_s: np.ndarray) -> dict[str, Variable]:
         ),
         "clock_m_true": Variable(clock_m, (EPOCH,), "m", "true receiver clock bias"),
         "clock_rate_true": Variable(clock_rate, (EPOCH,), "m/s", "true receiver clock drift"),
-        "pseudorange_true": Variable(rho, channel, "m", "true pseudorange, with both clocks"),
+        "pseudorange_true": Variable(
+            rho + fault.delay_m.T, channel, "m", "true pseudorange, with both clocks and faults"
+        ),
+        "pseudorange_fault": Variable(
+            np.ascontiguousarray(fault.delay_m.T), channel, "m", "what a clock fault adds to it"
+        ),
         "doppler_true": Variable(
-            -rate * GPS_L1_HZ / C_MPS,
+            -rate * world.channels.carrier_hz / C_MPS,
             channel,
             "Hz",
-            "true Doppler of the carrier, with both clocks",
+            "true Doppler of the carrier, with both clocks and faults",
         ),
+        "cn0_true": Variable(world.cn0_dbhz(t_s), channel, "dB-Hz", "true C/N0"),
         "elevation": Variable(
             np.degrees(elevation), channel, "deg", "true elevation of the satellite"
         ),

@@ -18,7 +18,7 @@ from pydantic import Field, ValidationError, ValidationInfo, model_validator
 from ultratight import config, consistency, named_files
 from ultratight.config import InvalidInput, Unsupported
 from ultratight.consistency import SPEED_LIMIT_MPS, Label
-from ultratight.tables import Atmosphere, Channel, Dbhz, Imu, NotNegative, Positive, Table
+from ultratight.tables import Atmosphere, Channel, Dbhz, Imu, NotNegative, Positive, Prn, Table
 
 __all__ = [
     "PRESETS",
@@ -30,7 +30,6 @@ __all__ = [
     "preset_tree",
 ]
 
-Prn = Annotated[int, Field(ge=1, le=210)]
 Acceleration = Annotated[float, Field(ge=-10_000.0, le=10_000.0)]
 TurnRate = Annotated[float, Field(ge=-360.0, le=360.0)]
 

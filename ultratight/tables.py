@@ -13,6 +13,9 @@ Arm = Annotated[float, Field(ge=-1_000.0, le=1_000.0)]
 Tau = Annotated[float, Field(ge=0.01, le=1e9)]
 Ppm = Annotated[float, Field(ge=-1e5, le=1e5)]
 Dbhz = Annotated[float, Field(ge=0.0, le=70.0)]
+Change = Annotated[float, Field(ge=-70.0, le=70.0)]
+Delay = Annotated[float, Field(ge=-1e5, le=1e5)]
+Prn = Annotated[int, Field(ge=1, le=210)]
 
 
 class Table(BaseModel):
@@ -32,6 +35,26 @@ def _frozen(value: Any) -> Any:
     return tuple(_frozen(item) for item in value) if isinstance(value, list | tuple) else value
 
 
+class Disturbance(Table):
+    """Something that befalls signals from t0_s on and before t1_s; what overlaps adds up.
+
+    The receiver is not told.
+    """
+
+    t0_s: NotNegative
+    """Times are multiples of 0.005 s"""
+    t1_s: Positive | None = None
+    """Left out: to the end"""
+    prns: tuple[Prn, ...] | None = None
+    """Satellites concerned; all by default"""
+    cn0_change_db: Change = 0.0
+    """Added to C/N0"""
+    pseudorange_m: Delay = 0.0
+    """Clock fault of the satellite: code, data and carrier arrive so much later"""
+    pseudorange_rate_mps: Annotated[float, Field(ge=-1e4, le=1e4)] = 0.0
+    """The fault grows by this from t0_s on"""
+
+
 class Channel(Table):
     """What the path does to the signals."""
 
@@ -39,8 +62,10 @@ class Channel(Table):
         Annotated[str, Field(pattern=r"^[GE](0[1-9]|[1-9]\d|1\d\d|20\d|210)$")], Dbhz
     ] = {}
     """Satellites that differ from ``cn0_dbhz``: {"G07": 40.0}"""
-    cn0_profile_s_db: tuple[tuple[float, Annotated[float, Field(ge=-70, le=70)]], ...] = ()
+    cn0_profile_s_db: tuple[tuple[float, Change], ...] = ()
     """(t_s, offset in dB on every satellite), linear between the points, constant outside"""
+    disturbance: tuple[Disturbance, ...] = ()
+    """Steps of C/N0 and faults of satellites"""
 
 
 class Atmosphere(Table):

@@ -14,6 +14,7 @@ import numpy as np
 
 from signals import clock
 from signals.arcs import arcs
+from signals.channel import Disturbance, Effects, disturbed, effects
 from signals.codes import LABELS, signal
 from signals.constants import C_MPS
 from signals.correlations import Correlations, correlations
@@ -29,6 +30,7 @@ from signals.propagation import (
 )
 from signals.replica import Replicas, replicas
 from ultratight import sky
+from ultratight.consistency import NODE_S
 from ultratight.data_sheets import imu_errors, oscillator, process_noise
 from ultratight.ins.attitude import rotation_from_vector
 from ultratight.ins.imu import ImuErrors, Increments, corrupt
@@ -38,8 +40,6 @@ from ultratight.scenario import InvalidInput, Scenario, Unsupported
 from ultratight.tracking.channels import channels
 from ultratight.tracking.knows import Knows
 
-NODE_S = 0.005
-"""Spacing of the nodes of the truth [s]"""
 N_NODE_PAST = 4
 FEWEST_SATELLITES = 4
 USUAL_SATELLITES = 7
@@ -129,6 +129,24 @@ class World:
         except ValueError as error:
             raise InvalidInput(f"signals: {error}") from None
         self.elements = np.ascontiguousarray(np.tile(rows, (len(kinds), 1)))
+        self.disturbances = self._disturbances()
+
+    def _disturbances(self) -> list[Disturbance]:
+        """What befalls which channels; `InvalidInput` names a satellite that is not there."""
+        found = []
+        for i, d in enumerate(self.scenario.channel.disturbance):
+            foreign = sorted(set(d.prns or ()) - set(self.prn.tolist()))
+            if foreign:
+                raise InvalidInput(
+                    f"channel.disturbance[{i}].prns: {', '.join(map(str, foreign))} given, "
+                    "expected some of the satellites in view: "
+                    f"{', '.join(map(str, np.unique(self.prn).tolist()))}"
+                )
+            affected = np.isin(self.prn, self.prn if d.prns is None else d.prns)
+            t1 = np.inf if d.t1_s is None else d.t1_s
+            change = d.cn0_change_db, d.pseudorange_m, d.pseudorange_rate_mps
+            found.append(Disturbance(d.t0_s, t1, affected, *change))
+        return found
 
     def _too_few(self, kept: int, risen: int) -> str:
         """Name the key that left too few satellites."""
@@ -187,7 +205,19 @@ class World:
             valid,
             self.channels.nominal,
         )
-        return sky.with_atmosphere(self.scenario, self.sky, self.prn, self.channels, r, state)
+        state = sky.with_atmosphere(self.scenario, self.sky, self.prn, self.channels, r, state)
+        return disturbed(state, self.disturbances, self.channels.nominal)
+
+    def effects(self, t_s: np.ndarray) -> Effects:
+        """What the scenario's disturbances do at receiver times t_s (n,)."""
+        return effects(self.disturbances, t_s, self.prn.size)
+
+    def cn0_dbhz(self, t_s: np.ndarray) -> np.ndarray:
+        """True C/N0 (n, n_channel) at receiver times t_s (n,)."""
+        level = self._cn0_dbhz(t_s)
+        if level.ndim == 1:
+            level = level[:, None]
+        return np.asarray((level + self.effects(t_s).cn0_change_db).T)
 
     def _cn0_dbhz(self, t_s: np.ndarray) -> np.ndarray:
         s = self.scenario
