@@ -55,21 +55,25 @@ def normalised(log_weight: np.ndarray, floor: float = WEIGHT_FLOOR) -> np.ndarra
     A weight that is not a number (a hypothesis without a likelihood) counts as none; where no
     hypothesis has any, all are alike.
     """
+    with np.errstate(divide="ignore"):
+        return _normalised(log_weight, floor)
+
+
+def _normalised(log_weight: np.ndarray, floor: float) -> np.ndarray:
     log_weight = np.where(np.isnan(log_weight), -np.inf, log_weight)
     top = log_weight.max()
     if not np.isfinite(top):
         return np.full(log_weight.size, -np.log(log_weight.size))
     weight = np.exp(log_weight - top)
     weight = np.maximum(weight / weight.sum(), floor)
-    with np.errstate(divide="ignore"):
-        return np.asarray(np.log(weight / weight.sum()))
+    return np.asarray(np.log(weight / weight.sum()))
 
 
 def merged(bank: Bank) -> Gaussian:
     """Mean and covariance of the mixture."""
     n = bank.mean.shape[1]
     mean, cov = np.empty(n), np.empty((n, n))
-    _merge(np.exp(bank.log_weight), bank.mean, bank.cov, mean, cov)
+    merge_into(np.exp(bank.log_weight), bank.mean, bank.cov, mean, cov)
     return Gaussian(mean, cov)
 
 
@@ -80,7 +84,7 @@ def mixed(bank: Bank, transition: np.ndarray) -> Bank:
     mean, cov = np.empty_like(bank.mean), np.empty_like(bank.cov)
     for j in range(weight.size):
         if weight[j] > 0.0:
-            _merge(joint[:, j] / weight[j], bank.mean, bank.cov, mean[j], cov[j])
+            merge_into(joint[:, j] / weight[j], bank.mean, bank.cov, mean[j], cov[j])
         else:
             mean[j], cov[j] = bank.mean[j], bank.cov[j]
     with np.errstate(divide="ignore"):
@@ -193,11 +197,26 @@ def with_noise(prediction: Prediction, block: slice, density: float) -> np.ndarr
     return q
 
 
+def hammersley(n: int) -> np.ndarray:
+    """(n, 2) points of the Hammersley set at the middles of its cells, in the unit square.
+
+    The second coordinate is the radical inverse to base 2 (Hammersley, Ann. NY Acad. Sci. 86,
+    1960); the half cell keeps it off (0, 0), which would be a model without noise.
+    """
+    if n < 1:
+        raise ValueError(f"points: {n}, expected at least 1")
+    inverse = [sum(0.5 ** (k + 1) for k in range(i.bit_length()) if i >> k & 1) for i in range(n)]
+    return np.stack([np.arange(n) / n, inverse], axis=1) + 0.5 / n
+
+
 # ---------------------------------------------------------------------------------- kernels
+
+normalise = kernel(_normalised)
+"""`normalised` for kernels; the last bit may differ"""
 
 
 @kernel
-def _merge(
+def merge_into(
     weight: np.ndarray, means: np.ndarray, covs: np.ndarray, mean: np.ndarray, cov: np.ndarray
 ) -> None:
     """Moments of the mixture with weights (nh,); a hypothesis of weight 0 is not looked at."""
