@@ -40,10 +40,17 @@ from ultratight.filters.multiple_model import (
     weighed,
     with_noise,
 )
-from ultratight.filters.opened_blocks import raised, seen_from_a_step, widen
+from ultratight.filters.opened_blocks import raised, seen_from_a_step, told, widen
 from ultratight.filters.relinearisation import STEP_RAD, WIDE, is_wide, radians_per
 from ultratight.filters.rules import Rule
 from ultratight.filters.score import ScoreTest
+from ultratight.filters.turned_prompts import (
+    STEPPED,
+    are_half_bits,
+    freed_of_kink,
+    searched,
+    stepped,
+)
 
 NONE, ACCELERATION, CLOCK, BOTH = range(4)
 STEP = 0.05
@@ -56,6 +63,8 @@ LONGEST_SET = 50
 """Epochs after which hypotheses are merged"""
 QUIET_SET, AFTER_STEP = 3, 25
 """Epochs without a score test after hypotheses were made, with the higher gate after a step"""
+PASSES_AT_STEP, SEARCHED_MPS, TAIL = 6, 0.5, 4.0
+"""Linearisations at a step; how well a search finds it; beyond how many variances it is a tail"""
 USUAL = 25
 """Epochs that say which changes of force are usual"""
 
@@ -81,6 +90,7 @@ class JumpOptions:
     unusual: float = 0.0  # no trigger below so many medians of the second difference of the force
     wide: bool = True  # more points where phase or rate may be off by a good part of a radian
     half_bits: bool = False  # asks for the half-bit prompts kept apart
+    exact: bool = False  # these by their exact mean where a step or a feedback turns them
     trigger: bool = True
     hypotheses: bool = True  # False: all blocks opened in one Gaussian
     gate: float = 40.0  # of the score test; inf: none
@@ -111,7 +121,7 @@ J1 = replace(JTQ, hypotheses=False)
 IO = replace(JTQ, trigger=False, hypotheses=False)
 JTQ_R = replace(
     JTQ_E, transverse=0.1, prior=(0.3, 0.3, 0.2, 0.2), ramp=0.3, unrest=8.0, load=0.005,
-    unusual=4.0,
+    unusual=4.0, exact=True,
 )  # fmt: skip
 
 
@@ -147,6 +157,8 @@ class JumpTriggered:
         self.since_step = self.since_fire = 10**9
         self.elapsed_s = 0.0
         self.step_weight: np.ndarray | None = None
+        self.fed: np.ndarray | None = None
+        self.stepping = False
         self.score.reset()
 
     def step(self, state: Gaussian, prediction: Prediction, measurement: Measurement) -> Update:
@@ -159,7 +171,13 @@ class JumpTriggered:
         self.elapsed_s += prediction.T
         before = self.bank if self.bank is not None else _bank_of_one(state)
         bank = self._open(before, prediction)
-        if self.since_step == 0:
+        exact = o.exact and are_half_bits(measurement)
+        if exact and self.fed is not None and self.fed.size == state.mean.size:
+            measurement = freed_of_kink(measurement, prediction, self.fed)
+        self.stepping = exact and self.since_step == 0
+        if self.stepping:
+            measurement = stepped(measurement, prediction)
+        elif self.since_step == 0:
             measurement = seen_from_a_step(measurement, prediction)
         loaded = prediction._replace(q=self._q(prediction))
         bank, updates = self._update(bank, loaded, measurement)
@@ -174,7 +192,7 @@ class JumpTriggered:
                 bank, updates = self._update(_bank_of_one(one), loaded, measurement)
         result = updates[0] if len(updates) == 1 else report(bank, updates)
         self.bank = fed_back(bank, result.mean) if len(updates) > 1 else None
-        self.fed_bias = result.mean[prediction.layout.accel_bias]
+        self.fed, self.fed_bias = result.mean, result.mean[prediction.layout.accel_bias]
         return result
 
     def _open(self, bank: Bank, prediction: Prediction) -> Bank:
@@ -249,12 +267,16 @@ class JumpTriggered:
         self, bank: Bank, prediction: Prediction, measurement: Measurement
     ) -> tuple[Bank, list[Update]]:
         """Predict, update and weigh every hypothesis; one that is out starts from the mixture."""
-        if self.step_weight is None and measurement.z.size:
+        if self.step_weight is None and measurement.z.size and not self.stepping:
             self.step_weight = radians_per(measurement, prediction) / STEP_RAD
         updates = []
-        for mean, cov in zip(bank.mean, bank.cov, strict=True):
+        for j, (mean, cov) in enumerate(zip(bank.mean, bank.cov, strict=True)):
             prior = predict(Gaussian(mean, cov), prediction.phi, prediction.q)
-            updates.append(self._condition(prior, prediction, measurement))
+            if self.stepping:
+                clock = len(bank.mean) == 1 or j in (CLOCK, BOTH)
+                updates.append(self._condition_step(prior, prediction, measurement, clock))
+            else:
+                updates.append(self._condition(prior, prediction, measurement))
         if len(updates) == 1:
             return _bank_of_one(Gaussian(updates[0].mean, updates[0].cov)), updates
         bank = weighed(bank, updates, 0.0)
@@ -274,6 +296,25 @@ class JumpTriggered:
         if self.options.wide and weight is not None and is_wide(prior, prediction, weight):
             rule = WIDE
         return update(prior, measurement, rule, self.iterations, step_weight=weight)
+
+    def _condition_step(
+        self, prior: Gaussian, prediction: Prediction, seen: Measurement, clock: bool
+    ) -> Update:
+        """The same where velocity and drift may have stepped when this epoch began.
+
+        If the clock is in doubt, a search says where to linearise first; a step beyond what was
+        thought possible is then as likely as it is large.
+        """
+        start = prior
+        if clock:
+            cd = prediction.layout.cd.start
+            column = prediction.phi[:, cd]
+            d = searched(prior, seen, prediction)
+            excess = max(d * d - TAIL * prior.cov[cd, cd], 0.0)
+            prior = Gaussian(prior.mean, prior.cov + excess * np.outer(column, column))
+            start = Gaussian(prior.mean + column * d, told(prior.cov, cd, SEARCHED_MPS))
+        weight = None if self.step_weight is None else np.append(self.step_weight, self.step_weight[-1])
+        return update(prior, seen, STEPPED, PASSES_AT_STEP, start=start, step_weight=weight)
 
     def _fires(self, windowed: float, single: float) -> bool:
         o = self.options

@@ -51,6 +51,15 @@ def raised(
     return Gaussian(gaussian.mean, cov)
 
 
+def told(cov: np.ndarray, state: int, sigma: float) -> np.ndarray:
+    """Covariance (n, n) as if one state were told with that sigma, where it is wider."""
+    variance = float(cov[state, state])
+    if variance <= sigma**2:
+        return cov
+    slope = cov[:, state] / variance
+    return np.asarray(cov - np.outer(slope, slope) * (variance - sigma**2))
+
+
 def seen_from_a_step(measurement: Measurement, prediction: Prediction) -> Measurement:
     """A as it is for a velocity and a drift that have stepped at the start of this epoch.
 
