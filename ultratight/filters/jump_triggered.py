@@ -17,7 +17,8 @@ or g-sensitivity enters, only how large a surprise per 10 g may be.
 JTQ-R goes further (docs/jtq.md): a sensor errs along the change of force that it saw, hence the
 blocks are opened along it, and less on a ramp; after the score test has fired the bias stays
 restless for a second; what half a second of vibration shows as usual triggers nothing; the
-half-bit prompts are kept apart.
+half-bit prompts are kept apart, and where a step or its feedback turns them they are modelled by
+their exact mean (`turned_prompts`), with a search of instant and size of a step of the drift.
 """
 
 from __future__ import annotations
@@ -159,25 +160,24 @@ class JumpTriggered:
         self.step_weight: np.ndarray | None = None
         self.fed: np.ndarray | None = None
         self.stepping = False
+        self.late_s = self.drift = 0.0  # of the last step: after the start of its epoch, size
         self.score.reset()
 
     def step(self, state: Gaussian, prediction: Prediction, measurement: Measurement) -> Update:
         """Open, predict, update and weigh; reopen where the score test fires."""
         o = self.options
         self.notes = []
+        again = self.since_step == 0
         self.age += 1
         self.since_step += 1
         self.since_fire += 1
         self.elapsed_s += prediction.T
         before = self.bank if self.bank is not None else _bank_of_one(state)
         bank = self._open(before, prediction)
-        exact = o.exact and are_half_bits(measurement)
-        if exact and self.fed is not None and self.fed.size == state.mean.size:
-            measurement = freed_of_kink(measurement, prediction, self.fed)
-        self.stepping = exact and self.since_step == 0
-        if self.stepping:
-            measurement = stepped(measurement, prediction)
-        elif self.since_step == 0:
+        self.stepping = False
+        if o.exact and are_half_bits(measurement):
+            measurement = self._exactly(bank, prediction, measurement, again)
+        if self.since_step == 0 and not self.stepping:
             measurement = seen_from_a_step(measurement, prediction)
         loaded = prediction._replace(q=self._q(prediction))
         bank, updates = self._update(bank, loaded, measurement)
@@ -194,6 +194,24 @@ class JumpTriggered:
         self.bank = fed_back(bank, result.mean) if len(updates) > 1 else None
         self.fed, self.fed_bias = result.mean, result.mean[prediction.layout.accel_bias]
         return result
+
+    def _exactly(
+        self, bank: Bank, prediction: Prediction, measurement: Measurement, again: bool
+    ) -> Measurement:
+        """The measurement freed of a large feedback, and with a step in it where there is one.
+
+        again: there was one in the epoch before; it may be the same, seen in two halves.
+        """
+        if self.fed is not None:
+            stepped_s = self.late_s - prediction.T if again else -math.inf
+            measurement = freed_of_kink(measurement, prediction, self.fed, stepped_s)
+        self.stepping = self.since_step == 0
+        if not self.stepping:
+            return measurement
+        j = min(CLOCK, len(bank.mean) - 1)
+        prior = predict(Gaussian(bank.mean[j], bank.cov[j]), prediction.phi, prediction.q)
+        self.late_s, self.drift = searched(prior, measurement, prediction, since_before=again)
+        return stepped(measurement, prediction, self.late_s)
 
     def _open(self, bank: Bank, prediction: Prediction) -> Bank:
         """The bank with the blocks opened that the change of force casts doubt on."""
@@ -300,20 +318,20 @@ class JumpTriggered:
     def _condition_step(
         self, prior: Gaussian, prediction: Prediction, seen: Measurement, clock: bool
     ) -> Update:
-        """The same where velocity and drift may have stepped when this epoch began.
+        """The same where velocity and drift may have stepped at the instant that was searched.
 
-        If the clock is in doubt, a search says where to linearise first; a step beyond what was
+        If the clock is in doubt, the search says where to linearise first; a step beyond what was
         thought possible is then as likely as it is large.
         """
         start = prior
         if clock:
-            cd = prediction.layout.cd.start
+            cd, d = prediction.layout.cd.start, self.drift
             column = prediction.phi[:, cd]
-            d = searched(prior, seen, prediction)
             excess = max(d * d - TAIL * prior.cov[cd, cd], 0.0)
             prior = Gaussian(prior.mean, prior.cov + excess * np.outer(column, column))
             start = Gaussian(prior.mean + column * d, told(prior.cov, cd, SEARCHED_MPS))
-        weight = None if self.step_weight is None else np.append(self.step_weight, self.step_weight[-1])
+        weight = self.step_weight
+        weight = None if weight is None else np.append(weight, weight[-1])
         return update(prior, seen, STEPPED, PASSES_AT_STEP, start=start, step_weight=weight)
 
     def _fires(self, windowed: float, single: float) -> bool:

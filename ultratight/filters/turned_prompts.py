@@ -9,16 +9,14 @@ that is a fraction of a radian the mean prompt has the mean phase and full size,
 neither holds beyond: 9 m/s at L1 turn half a bit through 3 rad.  Two such steps are told apart:
 
 * one to be estimated (`stepped`): the prompts of the model are multiplied by g, d a fourth number
-  of each channel.  Bit edges differ from satellite to satellite, hence few d serve all of them,
-  and a search finds the right one (`searched`) where a Gaussian about the prior would settle on a
-  wrong one;
+  of each channel.  Bit edges differ from satellite to satellite, hence few (t0, d) serve all of
+  them, and a search finds the right ones (`searched`) where a Gaussian about the prior would
+  settle on a wrong one;
 * one that the receiver made (`freed_of_kink`): the feedback of the epoch before moved phase and
   rate of the NCO, and the integrations under way at that time are freed of its mean turn only.
 """
 
 from __future__ import annotations
-
-from collections.abc import Callable
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
@@ -27,8 +25,12 @@ from ultratight.filters.gaussian import Gaussian, Measurement, Prediction
 from ultratight.filters.quadrature import gauss_hermite
 from ultratight.filters.rules import Rule
 
-REACH_MPS, STEP_MPS = 25.0, 0.2
+REACH_MPS, STEP_MPS = 50.0, 0.4
 """Drifts that are tried"""
+INSTANTS = 8
+"""Instants of a step that are tried, per epoch"""
+CLEARLY = 20.0
+"""Fall of the squares [sigma^2] that speaks for another instant than the start of the epoch"""
 SMALLEST = 1e-3
 """|g|^2 below which a prompt counts as that small: it says nothing either way"""
 KINK_RAD = 0.2
@@ -49,27 +51,29 @@ STEPPED = Rule(
 
 def are_half_bits(measurement: Measurement) -> bool:
     """z = (I1, Q1, I2, Q2, S) with known times?"""
-    return measurement.span is not None and measurement.z.shape[0] > 0 < _fifth(measurement)
+    nb, k = measurement.z.shape
+    return measurement.span is not None and nb > 0 and k == 5
 
 
 class SteppedPrompts:
-    """h for y = (dr, p, dv, d): range, phase and rate at the step, and how far the rate stepped.
+    """h for y = (dr, p, dv, d): range, phase and rate before the step, how far the rate stepped.
 
-    h, h_jacobian : the model of the half bits without a step.
-    k : (nb,) radians per metre; per_mps, share : `_turning`.
+    ``measurement`` has the model without a step; radians (nb, 2, m) turned per m/s at instants of
+    that share (nb, 2) of each half which lies after it.
     """
 
-    def __init__(
-        self, measurement: Measurement, radians: np.ndarray, share: np.ndarray
-    ) -> None:
+    def __init__(self, measurement: Measurement, radians: np.ndarray, share: np.ndarray) -> None:
         self.h, self.h_jacobian = measurement.h, measurement.h_jacobian
         self.radians, self.share = radians, share
 
     def __call__(self, y: np.ndarray) -> np.ndarray:
         """Predicted z (nb, p, 5) at points y (nb, p, 4)."""
         z = self.h(np.ascontiguousarray(y[..., :3]))
-        g = 1.0 - self.share[:, None] + self.share[:, None] * (
-            np.exp(1j * self.radians[:, None] * y[..., 3, None, None]) @ _WEIGHT
+        g = (
+            1.0
+            - self.share[:, None]
+            + self.share[:, None]
+            * (np.exp(1j * self.radians[:, None] * y[..., 3, None, None]) @ _WEIGHT)
         )
         return _times(z, g)
 
@@ -87,11 +91,11 @@ class SteppedPrompts:
         return _times(z, g), out
 
 
-def stepped(measurement: Measurement, prediction: Prediction) -> Measurement:
-    """The measurement of velocity and drift that step at the start of this epoch."""
-    layout, T = prediction.layout, prediction.T
+def stepped(measurement: Measurement, prediction: Prediction, late_s: float = 0.0) -> Measurement:
+    """The measurement of velocity and drift that step so late after the start of this epoch."""
+    layout = prediction.layout
     first, last, h = _halves(measurement, prediction)
-    before, after = np.maximum(first, 0.0), np.maximum(last, 0.0)
+    before, after = np.maximum(first - late_s, 0.0), np.maximum(last - late_s, 0.0)
     k = radians_per_metre(measurement)[:, None, None]
     radians = k * (before[..., None] + (after - before)[..., None] * _INSTANT)
     columns = np.r_[layout.v, layout.cd]
@@ -99,26 +103,46 @@ def stepped(measurement: Measurement, prediction: Prediction) -> Measurement:
     A = np.zeros((nb, 4, n))
     A[:, :3] = measurement.A
     A[:, 3, columns] = A[:, 2, columns]
-    A[:, 1, columns] = -T * A[:, 2, columns]
+    A[:, 1, columns] = (late_s - prediction.T) * A[:, 2, columns]
     A[:, 2, columns] = 0.0
     model = SteppedPrompts(measurement, radians, (after - before) / h[:, None])
     return measurement._replace(A=A, h=model, h_jacobian=model.jacobian)
 
 
-def searched(prior: Gaussian, seen: Measurement, prediction: Prediction) -> float:
-    """Step of the clock drift [m/s] that explains all numbers best, all else at the prior mean."""
-    cd = prediction.layout.cd.start
+def searched(
+    prior: Gaussian, measurement: Measurement, prediction: Prediction, *, since_before: bool
+) -> tuple[float, float]:
+    """Instant [s after the start of the epoch] and size [m/s] of a step of the clock drift.
+
+    Those that explain all numbers best, all else at the prior mean; the start of the epoch unless
+    another instant is clearly better.  since_before: it may have been in the epoch before.
+    """
+    cd, T = prediction.layout.cd.start, prediction.T
     d = np.arange(-REACH_MPS, REACH_MPS + 0.5 * STEP_MPS, STEP_MPS)
-    y = np.repeat((seen.A @ prior.mean)[:, None, :], d.size, axis=1)
-    y[..., 3] += d * seen.A[:, None, 3, cd]
-    square = (seen.z[:, None, :] - seen.h(y)) ** 2 / np.diagonal(seen.R, 0, 1, 2)[:, None, :]
-    return float(d[np.argmin(square.sum(axis=(0, 2)) + d**2 / prior.cov[cd, cd])])
+    tried = np.arange(1 - INSTANTS if since_before else 1, INSTANTS) * (T / INSTANTS)
+    best, late_s, size = np.inf, 0.0, 0.0
+    for late in (0.0, *tried):
+        seen = stepped(measurement, prediction, late)
+        y = np.repeat((seen.A @ prior.mean)[:, None, :], d.size, axis=1)
+        y[..., 3] += d
+        square = (seen.z[:, None, :] - seen.h(y)) ** 2 / np.diagonal(seen.R, 0, 1, 2)[:, None, :]
+        badness = square.sum(axis=(0, 2)) + d**2 / prior.cov[cd, cd]
+        if late:
+            badness += CLEARLY
+        k = int(np.argmin(badness))
+        if badness[k] < best:
+            best, late_s, size = float(badness[k]), float(late), float(d[k])
+    return late_s, size
 
 
-def freed_of_kink(measurement: Measurement, prediction: Prediction, fed: np.ndarray) -> Measurement:
+def freed_of_kink(
+    measurement: Measurement, prediction: Prediction, fed: np.ndarray, stepped_s: float
+) -> Measurement:
     """The measurement in an epoch at whose start the state (n,) was fed back.
 
-    Until then the NCO was behind by the phases that were fed back and by their rates.
+    Until then the NCO was behind by the phases that were fed back and by their rates, these since
+    ``stepped_s`` after the start of the epoch (negative; -inf: ever since), though the reference
+    of what was integrated has been corrected all the way back.
     """
     layout, k = prediction.layout, radians_per_metre(measurement)
     phase = k * fed[layout.phase][measurement.channel]
@@ -133,7 +157,8 @@ def freed_of_kink(measurement: Measurement, prediction: Prediction, fed: np.ndar
     turn = phase[:, None, None] + rate[:, None, None] * t
     share = length / h[:, None]
     mean = share * (turn @ _WEIGHT)
-    g = (1.0 - share + share * (np.exp(1j * turn) @ _WEIGHT)) * np.exp(-1j * mean)
+    still = np.maximum(stepped_s - t, 0.0) * rate[:, None, None]
+    g = (1.0 - share + share * (np.exp(1j * (turn + still)) @ _WEIGHT)) * np.exp(-1j * mean)
     return _divided(measurement, g)
 
 
@@ -141,10 +166,6 @@ def radians_per_metre(measurement: Measurement) -> np.ndarray:
     """(nb,) 2 pi / wavelength of each channel: slope of Q over I where the error is zero."""
     z, J = measurement.h_jacobian(np.zeros(measurement.A.shape[:2]))
     return np.asarray(J[:, 1, 1] / z[:, 0])
-
-
-def _fifth(measurement: Measurement) -> int:
-    return int(measurement.z.shape[1] == 5)
 
 
 def _times(z: np.ndarray, g: np.ndarray) -> np.ndarray:
