@@ -6,11 +6,12 @@ those of the scalar closures do: their 1 ms dumps would be ten times as much as 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from signals.arcs import arcs
+from signals.compiled import borrowing
 from signals.constants import C_MPS
 from signals.nco import Nco, Taps
 from signals.propagation import elevation_azimuth, predict_epochs
@@ -41,6 +42,28 @@ LABELS = {
 """What stands along a dimension"""
 
 
+FEWEST_DUMPS = 1024
+"""There is room for at least so many"""
+
+
+class Dumps(NamedTuple):
+    """What is kept of each integration (n,), and of its taps (n, n_tap)."""
+
+    channel: np.ndarray
+    number: np.ndarray
+    start: np.ndarray
+    end: np.ndarray
+    tap_i: np.ndarray
+    tap_q: np.ndarray
+
+
+def _room_for_dumps(n: int, n_tap: int) -> Dumps:
+    return Dumps(
+        np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n), np.empty(n),
+        np.empty((n, n_tap)), np.empty((n, n_tap)),
+    )  # fmt: skip
+
+
 class History:
     """Arrays that are filled row by row while the receiver runs."""
 
@@ -51,23 +74,34 @@ class History:
         self.fields = closure.fields()
         self.rows = Rows(n, self.fields)
         self.keeps_dumps = "prompt_i" not in self.fields
-        self.taps: list[Taps] = []
-        self.nco_freq: np.ndarray | None = None
-        self.nco_code: np.ndarray | None = None
+        self.dumps: Dumps | None = None
+        self.n_dump = 0
+        self.nco: tuple[np.ndarray, np.ndarray] | None = None
 
     def record(self, k: int, closure: Any, nco: Nco, taps: Taps) -> None:
         """Keep epoch k; rows of epochs that are never reached stay NaN."""
-        if self.keeps_dumps and taps.channel.size:
-            self.taps.append(taps)
+        if self.keeps_dumps:
+            self._keep(taps)
         if (k + 1) % self.every:
             return
         row = k // self.every
-        if self.nco_freq is None or self.nco_code is None:
+        if self.nco is None:
             shape = (self.t_s.size, nco.valid.size)
-            self.nco_freq, self.nco_code = np.full(shape, np.nan), np.full(shape, np.nan)
-        self.nco_freq[row] = nco.carrier_freq_hz[-1]
-        self.nco_code[row] = nco.code_phase_chips[-1]
+            self.nco = np.full(shape, np.nan), np.full(shape, np.nan)
+        _keep_last(nco.carrier_freq_hz, nco.code_phase_chips, *self.nco, row)
         closure.write(self.rows, row)
+
+    def _keep(self, taps: Taps) -> None:
+        """Keep the dumps, in arrays that are twice as long whenever they are full."""
+        n = self.n_dump + taps.channel.size
+        if self.dumps is None or n > self.dumps.tap_i.shape[0]:
+            more = _room_for_dumps(max(2 * n, FEWEST_DUMPS), taps.iq.shape[1])
+            if self.dumps is not None:
+                for old, new in zip(self.dumps, more, strict=True):
+                    new[: self.n_dump] = old[: self.n_dump]
+            self.dumps = more
+        _keep_dumps(*taps[:5], *self.dumps, self.n_dump)
+        self.n_dump = n
 
     def variables(self, names: list[str]) -> dict[str, Variable]:
         """Everything kept, with dimensions and units; dumps have their own dimension."""
@@ -79,23 +113,22 @@ class History:
             if dim in LABELS:
                 out[dim] = Variable(LABELS[dim][0][:size], (dim,), "", LABELS[dim][1])
         out["channel"] = Variable(np.array(names), ("channel",), "", "signal of each channel")
-        if self.nco_freq is not None and self.nco_code is not None:
+        if self.nco is not None:
             out["nco_carrier_freq"] = Variable(
-                self.nco_freq, (EPOCH, "channel"), "Hz", "NCO carrier above IF, last piece"
+                self.nco[0], (EPOCH, "channel"), "Hz", "NCO carrier above IF, last piece"
             )
             out["nco_code_phase"] = Variable(
-                self.nco_code, (EPOCH, "channel"), "chips", "NCO code phase, start of last piece"
+                self.nco[1], (EPOCH, "channel"), "chips", "NCO code phase, start of last piece"
             )
-        if self.taps:
-            joined = [np.concatenate([t[i] for t in self.taps]) for i in range(5)]
-            channel, number, start, end, iq = joined
+        if self.dumps is not None and self.n_dump:
+            channel, number, start, end, tap_i, tap_q = (x[: self.n_dump] for x in self.dumps)
             out["dump_channel"] = Variable(channel, ("dump",), "1", "channel of the dump")
             out["dump_number"] = Variable(number, ("dump",), "1", "code phase at start / length")
             out["dump_start"] = Variable(start, ("dump",), "s", "first sample")
             out["dump_end"] = Variable(end, ("dump",), "s", "first sample after")
             unit = "standard deviations of the noise"
-            out["tap_i"] = Variable(iq.real.copy(), ("dump", "tap"), unit, "in-phase tap")
-            out["tap_q"] = Variable(iq.imag.copy(), ("dump", "tap"), unit, "quadrature tap")
+            out["tap_i"] = Variable(tap_i, ("dump", "tap"), unit, "in-phase tap")
+            out["tap_q"] = Variable(tap_q, ("dump", "tap"), unit, "quadrature tap")
         return out
 
 
@@ -162,3 +195,40 @@ def truth_variables(world: World, t_s: np.ndarray) -> dict[str, Variable]:
             np.degrees(azimuth), channel, "deg", "true azimuth of the satellite, from north"
         ),
     }
+
+
+# ---- kernels ---------------------------------------------------------------------------------
+
+
+@borrowing
+def _keep_dumps(
+    channel: np.ndarray,
+    number: np.ndarray,
+    start: np.ndarray,
+    end: np.ndarray,
+    iq: np.ndarray,
+    all_channel: np.ndarray,
+    all_number: np.ndarray,
+    all_start: np.ndarray,
+    all_end: np.ndarray,
+    tap_i: np.ndarray,
+    tap_q: np.ndarray,
+    n: int,
+) -> None:
+    """Append the dumps to the n that there are."""
+    for k in range(channel.size):
+        all_channel[n + k], all_number[n + k] = channel[k], number[k]
+        all_start[n + k], all_end[n + k] = start[k], end[k]
+        for j in range(iq.shape[1]):
+            tap_i[n + k, j], tap_q[n + k, j] = iq[k, j].real, iq[k, j].imag
+
+
+@borrowing
+def _keep_last(
+    freq: np.ndarray, code: np.ndarray, all_freq: np.ndarray, all_code: np.ndarray, row: int
+) -> None:
+    """The command's last piece."""
+    last = freq.shape[0] - 1
+    for i in range(freq.shape[1]):
+        all_freq[row, i] = freq[last, i]
+        all_code[row, i] = code[last, i]

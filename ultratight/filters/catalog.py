@@ -219,6 +219,19 @@ class RecipeFilter:
         """How many error states it wants, without the channels' phases."""
         return self.recipe.states
 
+    @property
+    def at_once(self) -> Rule | None:
+        """The rule of a recipe that is no more than one prediction and one update by blocks.
+
+        Fading apart.  Such a step can be made in one compiled call, with the kernels of this one.
+        """
+        r = self.recipe
+        more = (r.interval_q, r.velocity_q, r.noise, r.weights, r.intersect)
+        if type(self).step is not RecipeFilter.step or any(part is not None for part in more):
+            return None
+        simple = r.iterations == 1 and r.form == PLAIN and self.rule.block_diagonal
+        return self.rule if simple else None
+
     def reset(self) -> None:
         """Forget the innovations seen."""
         if self.fading is not None:

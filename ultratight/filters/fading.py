@@ -84,7 +84,7 @@ class Fading:
         self.V0 = np.zeros((0, 0))
         self.seen = np.zeros(0, dtype=np.bool_)
         self.elapsed_s = 0.0
-        self._inflated = np.zeros(0)
+        self.inflated = np.zeros(0)
 
     def step(
         self,
@@ -95,48 +95,67 @@ class Fading:
         iterations: int = 1,
     ) -> tuple[Gaussian, Update]:
         """The prior in use, P(lambda), and the update made from it."""
-        options = self.options
-        self._prepare(state, prediction, measurement)
+        options, k = self.options, measurement.z.shape[1]
+        self.prepare(state.cov, prediction.layout, prediction.n_channel * k)
         prior = predict(state, prediction.phi, prediction.q)
         plain = update(prior, measurement, rule, iterations)
         self.elapsed_s += prediction.T
         if plain.innovation.size == 0:
             return prior, plain
-        k, m = measurement.z.shape[1], plain.innovation.size
+        m = plain.innovation.size
         V = np.empty((m, m))
-        is_open = _watch(
+        is_open = watch_innovations(
             self.V0, self.seen, measurement.channel, plain.innovation, options.rho, V,
-            prior.cov, prediction.q, self._inflated, plain.H, plain.noise,
+            prior.cov, prediction.q, self.inflated, plain.H, plain.noise,
             min(options.information_row, k - 1), options.gate,
         )  # fmt: skip
         if not is_open or self.elapsed_s <= options.start_s:
             return prior, plain
+        return self.faded(prior, plain, V, prediction.q, measurement, rule, iterations)
+
+    def faded(
+        self,
+        prior: Gaussian,
+        plain: Update,
+        V: np.ndarray,
+        q: np.ndarray,
+        measurement: Measurement,
+        rule: Rule,
+        iterations: int = 1,
+    ) -> tuple[Gaussian, Update]:
+        """P(lambda) and its update where the gate is open; the plain ones where lambda is 1.
+
+        V (m, m): what is remembered of the innovations of ``plain``; q: the Q in ``prior``.
+        """
+        options = self.options
         if options.fit:
-            HE = np.asarray(plain.H) * self._inflated
-            lam = reading_iii(HE @ (prior.cov - prediction.q) @ HE.T, plain.S, V)
+            HE = np.asarray(plain.H) * self.inflated
+            lam = reading_iii(HE @ (prior.cov - q) @ HE.T, plain.S, V)
         else:
-            lam = _fading_factor(self._inflated, plain.S, plain.gain, V)
+            lam = _fading_factor(self.inflated, plain.S, plain.gain, V)
         if not lam > 1.0:
             return prior, plain
         ceiling = self.first_variance if options.clamp else np.zeros(0)
-        cov = _inflate(prior.cov, prediction.q, self._inflated, lam, ceiling)
+        cov = _inflate(prior.cov, q, self.inflated, lam, ceiling)
         prior = Gaussian(prior.mean, cov)
         faded = update(prior, measurement, rule, iterations)
         faded.lam = lam
         return prior, faded
 
-    def _prepare(self, state: Gaussian, prediction: Prediction, measurement: Measurement) -> None:
-        """Size the memory at the first step after a reset; ValueError where it does not fit."""
-        n, n_row = state.mean.size, prediction.n_channel * measurement.z.shape[1]
-        known = self.first_variance.size
+    def prepare(self, cov: np.ndarray, layout: Any, n_row: int) -> None:
+        """Size the memory at the first step after a reset; ValueError where it does not fit.
+
+        n_row: numbers that all channels together can measure.
+        """
+        n, known = cov.shape[0], self.first_variance.size
         if known < n:
-            self.first_variance = np.append(self.first_variance, np.diag(state.cov)[known:])
-        if self._inflated.size == 0:
-            self._inflated = block_mask(prediction.layout, self.options.blocks, n)
+            self.first_variance = np.append(self.first_variance, np.diag(cov)[known:])
+        if self.inflated.size == 0:
+            self.inflated = block_mask(layout, self.options.blocks, n)
             self.V0, self.seen = np.zeros((n_row, n_row)), np.zeros(n_row, dtype=np.bool_)
-        if self._inflated.size != n or self.seen.size != n_row:
+        if self.inflated.size != n or self.seen.size != n_row:
             raise ValueError(
-                f"fading memory: {self._inflated.size} states, {self.seen.size} rows; got {n}, "
+                f"fading memory: {self.inflated.size} states, {self.seen.size} rows; got {n}, "
                 f"{n_row}: call reset() when the state or the measurement changes"
             )
 
@@ -195,27 +214,28 @@ def _remember(
     usual = m == seen.size
     for a in range(m):
         usual = usual and rows[a] == a and seen[a]
+    if usual:
+        for a in range(m):
+            for b in range(m):
+                V[a, b] = keep * V0[a, b] + share * (nu[a] * nu[b])
+                V0[a, b] = V[a, b]
+        return
     for a in range(m):
         for b in range(m):
             fresh = nu[a] * nu[b]
-            if usual:
-                V[a, b] = keep * V0[a, b] + share * fresh
-            elif seen[rows[a]] and seen[rows[b]]:
+            if seen[rows[a]] and seen[rows[b]]:
                 V[a, b] = keep * V0[rows[a], rows[b]] + share * fresh
             else:
                 V[a, b] = fresh
     for a in range(m):  # a channel present twice in an epoch leaves its later block
         for b in range(m):
-            if usual:
-                V0[a, b] = V[a, b]
-            else:
-                V0[rows[a], rows[b]] = V[a, b]
+            V0[rows[a], rows[b]] = V[a, b]
     for a in range(m):
         seen[rows[a]] = True
 
 
 @kernel
-def _watch(
+def watch_innovations(
     V0: np.ndarray,
     seen: np.ndarray,
     channel: np.ndarray,
@@ -261,24 +281,28 @@ def _gate_is_open(
     """
     m, n = H.shape
     size = noise.shape[1]
-    room = np.empty((3 * m + 2 * n, padded(n)))
-    h, hP, hM, P, M = (
-        room[:m], room[m : 2 * m], room[2 * m : 3 * m], room[3 * m : 3 * m + n], room[3 * m + n :],
-    )  # fmt: skip
+    room = np.empty((2 * m + n, padded(n)))
+    h, hP, P = room[:m], room[m : 2 * m], room[2 * m :]
     widen(H, h)
     widen(cov, P)
-    for c in range(n):
-        for e in range(n):
-            M[c, e] = inflated[c] * inflated[e] * (cov[c, e] - q[c, e])
-        for e in range(n, room.shape[1]):
-            M[c, e] = 0.0
     rows_times(h, P, hP)
-    rows_times(h, M, hM)
+    state, some = np.empty(n, np.int64), 0  # of the inflated states alone
+    for c in range(n):
+        state[some] = c
+        some += inflated[c] != 0.0
+    room = np.zeros((2 * m + some, padded(some)))
+    g, gM, M = room[:m], room[m : 2 * m], room[2 * m :]
+    for c in range(some):
+        for i in range(m):
+            g[i, c] = H[i, state[c]]
+        for e in range(some):
+            M[c, e] = cov[state[c], state[e]] - q[state[c], state[e]]
+    rows_times(g, M, gM)
     excess, spread = 0.0, 0.0
     for first in range(0, m, k):
-        reference = dot(hM, first + row, h, first + row)
+        reference = dot(gM, first + row, g, first + row)
         for i in range(first, first + k):
-            if i == first + row or dot(hM, i, h, i) > 1e-3 * reference:
+            if i == first + row or dot(gM, i, g, i) > 1e-3 * reference:
                 S = noise[i // size, i % size, i % size] + dot(hP, i, h, i)
                 excess += V[i, i] - S
                 spread += S * S

@@ -47,7 +47,7 @@ class HalfBits:
         channel, number = np.empty(n_dump, dtype=np.int64), np.empty(n_dump, dtype=np.int64)
         span, iq = np.empty((n_dump, 3)), np.empty((n_dump, 2, n_tap), dtype=np.complex128)
         facts = self.channels
-        n = _pair(
+        n = pair_into(
             facts.dump_chips, facts.symbol_chips, facts.overlay, facts.overlay_length,
             facts.overlay_start, taps.channel, taps.number, taps.t_start_s, taps.t_end_s, taps.iq,
             taps.noise_var, self.number, self.t_s, self.iq, steering.buffer,
@@ -60,7 +60,7 @@ class HalfBits:
 
 
 @borrowing
-def _pair(
+def pair_into(
     dump_chips: np.ndarray,
     symbol_chips: np.ndarray,
     overlay: np.ndarray,

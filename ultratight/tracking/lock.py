@@ -7,10 +7,12 @@ losses: 1 when locked, 0 when the phase is anywhere.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from signals.compiled import borrowing
-from ultratight.filters.gaussian import Measurement, Update
+from ultratight.filters.gaussian import Update
 
 SMOOTHING_S = 0.4
 LOST_BELOW = 0.5
@@ -44,18 +46,25 @@ class LockMonitor:
 
         An event: (t_s, channel, kind, reason).
         """
-        events, row, n = [], 0, channel.size
-        while row < n:
-            row, mean = _follow(channel, z, row, self.gain, self.indicator, self.locked)
-            self.mean_now = mean
-            if row == n:
-                break
+        if channel.size == 0:
+            return self.heard(t_s, channel, z, 0, self.mean_now)
+        return self.heard(
+            t_s, channel, z, *follow(channel, z, 0, self.gain, self.indicator, self.locked)
+        )
+
+    def heard(
+        self, t_s: float, channel: np.ndarray, z: np.ndarray, row: int, mean: float
+    ) -> list[tuple[float, int, str, str]]:
+        """`watch` of an epoch that `follow` has gone through as far as ``row``."""
+        self.mean_now = mean
+        events = []
+        while row < channel.size:
             i = int(channel[row])
             if not self.locked[i] and np.isnan(self.first_lost_s[i]):
                 self.first_lost_s[i] = t_s
             kind = "lock regained" if self.locked[i] else "loss of lock"
             events.append((t_s, i, kind, f"lock indicator {self.indicator[i]:.2f}"))
-            row += 1
+            row, _ = follow(channel, z, row + 1, self.gain, self.indicator, self.locked)
         self.low = self.low + 1 if self.mean_now < LOST_BELOW else 0
         return events
 
@@ -64,14 +73,17 @@ class LockMonitor:
         self.locked[:] = False
         self.first_lost_s = np.where(np.isnan(self.first_lost_s), t_s, self.first_lost_s)
 
-    def watch_quadrature(self, update: Update, measurement: Measurement) -> None:
-        """Remember the normalised quadrature innovations of the epoch (coherent model)."""
-        k = measurement.z.shape[1]
-        nu = update.innovation[1::k]
-        if nu.size:
-            square = nu * nu / update.variance(1, k)
+    @staticmethod
+    def quadrature_square(update: Update, k: int) -> float:
+        """Mean normalised square of the quadrature innovations, second of k each; NaN: none."""
+        nu = np.ascontiguousarray(update.innovation)
+        return float(normalised_square(nu, 1, k, np.ascontiguousarray(update.variance(1, k))))
+
+    def watch_quadrature(self, square: float) -> None:
+        """Remember the `quadrature_square` of the epoch (coherent model)."""
+        if square == square:
             # one epoch alone is a surprise, not a loss
-            self.quadrature.append(min(float(square.sum()) / nu.size, 2.0 * NIS_LIMIT))
+            self.quadrature.append(min(square, 2.0 * NIS_LIMIT))
             del self.quadrature[: -self.window]
 
     def loss(self) -> str:
@@ -87,7 +99,7 @@ class LockMonitor:
 
 
 @borrowing
-def _follow(
+def follow(
     channel: np.ndarray,
     z: np.ndarray,
     first: int,
@@ -113,3 +125,15 @@ def _follow(
             locked[i] = True
             return b, mean
     return nb, mean
+
+
+@borrowing
+def normalised_square(nu: np.ndarray, first: int, step: int, variance: np.ndarray) -> float:
+    """Mean of nu^2 / variance over the entries of nu from ``first`` on in steps; NaN of none."""
+    if variance.size == 0:
+        return math.nan
+    s = 0.0
+    for i in range(variance.size):
+        x = nu[first + i * step]
+        s += x * x / variance[i]
+    return s / variance.size

@@ -98,26 +98,31 @@ def measure(
     nb, d = bits.channel.size, 2 if phase_start == n_state else 3
     z, A, R = np.empty((nb, 3)), np.empty((nb, d, n_state)), np.empty((nb, 3, 3))
     params = np.empty((nb, codes.shape[1]))
-    missing = _measure(
+    missing = measure_into(
         bits.channel, bits.number, bits.span, bits.iq, steering.buffer, t_s, phase_start, codes,
         pilot, spacing_chips, clock_sf, amplitudes.amplitude2, amplitudes.prompt,
         NO_BITS if data_bits is None else data_bits, first_bit, clock_lag_s, epoch_s, params, z, A,
         R,
     )  # fmt: skip
     if missing >= 0:
-        raise ValueError(
-            f"receiver.knows.data_bits: none for bit {bits.number[missing]} of channel "
-            f"{bits.channel[missing]}: the coherent model needs them"
-        )
+        raise bit_missing(bits.number[missing], bits.channel[missing])
     model = TapModel(params)
     return Measurement(z, A, R, model, model.jacobian, bits.channel, bits.span)
+
+
+def bit_missing(number: int, channel: int) -> ValueError:
+    """Says which data bit the coherent model misses."""
+    return ValueError(
+        f"receiver.knows.data_bits: none for bit {number} of channel {channel}: the coherent model "
+        "needs them"
+    )
 
 
 # ---- kernels ---------------------------------------------------------------------------------
 
 
 @borrowing
-def _measure(
+def measure_into(
     channel: np.ndarray,
     number: np.ndarray,
     span: np.ndarray,

@@ -55,14 +55,14 @@ class TapModel:
 
     def condition(self, inner: int, *arrays: np.ndarray) -> float:
         """The update in one call, see `ultratight.filters.gaussian.CompiledModel`."""
-        return _condition(self.params, inner, *arrays)
+        return condition_taps(self.params, inner, *arrays)
 
 
 # ---------------------------------------------------------------------------------- kernels
 
 
 @kernel
-def _condition(
+def condition_taps(
     params: np.ndarray,
     inner: int,
     mean: np.ndarray,
@@ -79,6 +79,7 @@ def _condition(
     m1: np.ndarray,
     P1: np.ndarray,
 ) -> float:
+    """Arguments after the parameters: `ultratight.filters.gaussian.CompiledModel`."""
     nb, d, n = A.shape
     closed, inner = inner < 0 and d == 3, abs(inner)
     zbar, small = np.empty((nb, 3)), np.empty((7, d))

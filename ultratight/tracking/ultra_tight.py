@@ -10,36 +10,35 @@ import numpy as np
 from signals.compiled import borrowing
 from signals.nco import Nco, Taps
 from ultratight.filters.gaussian import Filter, Gaussian, Measurement, Prediction, Update
+from ultratight.filters.rules import Rule
 from ultratight.ins.error_state import (
     N_WITH_SCALE,
     SCALE_FACTOR,
     Layout,
     ProcessNoise,
-    clock_step_into,
-    transition_into,
 )
 from ultratight.ins.imu import Increments
+from ultratight.tracking.at_once import GATE_OPEN, TO_FILTER, AtOnce
 from ultratight.tracking.code_model import code_rows
+from ultratight.tracking.epoch import (
+    ABSURD,
+    FINE,
+    NOT_FINITE,
+    settle,
+    transition_of,
+)
 from ultratight.tracking.half_bit_phases import kept_apart
 from ultratight.tracking.half_bits import Bits, HalfBits
 from ultratight.tracking.knows import Knows
 from ultratight.tracking.lock import LockMonitor
-from ultratight.tracking.measurements import Amplitudes, measure
+from ultratight.tracking.measurements import NO_BITS, Amplitudes, bit_missing, measure
 from ultratight.tracking.rows import Fields, Rows
-from ultratight.tracking.steering import (
-    N_NAVIGATION,
-    feed_back,
-    lever,
-    start,
-    steer_epoch,
-    views,
-)
+from ultratight.tracking.steering import N_NAVIGATION, feed_back, start, steer_epoch
 
-ABSURD_SPEED_MPS = 2e4
-ABSURD_DRIFT_MPS = 4e4
-"""Beyond what a scenario may ask for: an estimate there has nothing to do with a receiver"""
-FINE, NOT_FINITE, ABSURD = range(3)
-"""What may come of an estimate"""
+WHY = {
+    NOT_FINITE: "the filter's estimate is not finite",
+    ABSURD: "estimated velocity or clock drift beyond any receiver's",
+}
 STATES = "covariance of the error states after the update; the channels' phases are left out"
 UNITS = "products of m, m/s, rad, m/s2, rad/s, m, m/s, 1"
 
@@ -105,8 +104,10 @@ class UltraTight:
         self.epoch = 0
         self.t_s = 0.0
         self.events: list[tuple[float, int, str, str]] = []
-        self.update: Update | None = None
-        self.bits: Bits | None = None
+        self.told = (math.nan, math.nan, math.nan)
+        """NIS of the epoch, how many numbers were measured, fading factor"""
+        self.rule: Rule | None = getattr(filter_, "at_once", None)
+        self.at_once: AtOnce | None = None
         self.dump_chips = facts.dump_chips
         self.valid = np.ones(n, dtype=np.bool_)
 
@@ -123,12 +124,75 @@ class UltraTight:
 
     def step(self, taps: Taps) -> None:
         """Weigh what came against what was expected; feed the correction back."""
-        bits = self.bits = self.half_bits.pair(taps, self.steering)
-        measurement = self._measurement(bits)
-        prediction = self._prediction()
-        n = prediction.phi.shape[0]
+        if self.rule is not None and not (self.coherent and self.settings.half_bits):
+            self._step_at_once(taps, self.rule)
+            return
+        measurement = self._measurement(self.half_bits.pair(taps, self.steering))
+        force = np.empty((2, 3))
+        n = self.layout.n
+        phi, q, work = np.empty((n, n)), np.empty((n, n)), np.empty((n + 1, n))
+        transition_of(
+            self.steering.buffer, self.settings.epoch_s, self.u_before, self.layout.n_scale,
+            self.layout.n_phase, self.clock_lag_s, self._densities, self.epoch == 0, work, phi, q,
+            force,
+        )  # fmt: skip
+        self._step_by_filter(measurement, phi, q, force)
+
+    def _step_at_once(self, taps: Taps, rule: Rule) -> None:
+        """The same in one compiled call, and what that leaves to Python."""
+        if self.at_once is None:
+            self.at_once = self._bind(rule)
+        one, T = self.at_once, self.settings.epoch_s
+        outcome, row, nis, in_phase, square = one(
+            taps, self.cov, self.sky.arcs, self.no_phase, self.t_s, T, self.epoch == 0
+        )
+        if outcome == FINE:
+            self.told = nis, 3.0 * one.n_bit, 1.0
+            channel, z = one.rooms[one.n_bit][2][:2]
+            self.events += self.lock.heard(self.t_s, channel, z, row, in_phase)
+            self._choose_model(square)
+            self.epoch += 1
+            return
+        if outcome in WHY:
+            self._give_up(WHY[outcome])
+            return
+        room = one.room()
+        if outcome == GATE_OPEN:
+            self._accept(one.faded(room, nis), one.measurement(room))
+        elif outcome == TO_FILTER:
+            self._step_by_filter(one.measurement(room), room.phi, room.q, room.force)
+        else:
+            raise bit_missing(room.number[row], room.channel[row])
+
+    def _bind(self, rule: Rule) -> AtOnce:
+        """`AtOnce` for the layout in use."""
+        k, layout, facts = self.knows, self.layout, self.knows.channels
+        fading, waiting, lock = getattr(self.filter, "fading", None), self.half_bits, self.lock
+        if fading is not None:
+            fading.prepare(self.cov, layout, 3 * self.n_channel)
+        return AtOnce(
+            rule, fading, layout,
+            (facts.dump_chips, facts.symbol_chips, facts.overlay, facts.overlay_length,
+             facts.overlay_start, facts.pilot, self.codes,
+             NO_BITS if k.data_bits is None else k.data_bits, self._densities),
+            (waiting.number, waiting.t_s, waiting.iq, self.steering.buffer, *self.amplitudes,
+             self.u_before, lock.indicator, lock.locked),
+            (layout.n_scale, layout.n_phase, layout.phase.start, self.spacing_chips,
+             self.noise.clock_sf, k.first_bit, self.clock_lag_s, self.settings.epoch_s, lock.gain),
+        )  # fmt: skip
+
+    def _step_by_filter(
+        self, measurement: Measurement, phi: np.ndarray, q: np.ndarray, force: np.ndarray
+    ) -> None:
+        """The filter's own step, whatever it is."""
+        prediction = Prediction(
+            phi, q, self.t_s, self.epoch, self.settings.epoch_s, force[0], force[1],
+            self.steering.C_b_e.copy(), self.layout, self.n_channel,
+        )  # fmt: skip
         try:
-            u = self.filter.step(Gaussian(np.zeros(n), self.cov), prediction, measurement)
+            u = self.filter.step(
+                Gaussian(np.zeros(self.layout.n), self.cov), prediction, measurement
+            )
         except np.linalg.LinAlgError as error:
             self._give_up(f"covariance: {error}")
             return
@@ -137,21 +201,27 @@ class UltraTight:
                 f"{type(self.filter).__name__}.step gave {type(u).__name__}, expected an "
                 "ultratight.filters.gaussian.Update"
             )
+        self._accept(u, measurement)
+
+    def _accept(self, u: Update, measurement: Measurement) -> None:
+        """Feed an update back, and see what it means for lock."""
         mean, cov = np.ascontiguousarray(u.mean), np.ascontiguousarray(u.cov)
-        outcome = _settle(
+        outcome = settle(
             self.steering.buffer, self.sky.arcs, mean, cov, self.layout.phase.start, self.no_phase,
             self.t_s,
         )  # fmt: skip
-        if outcome == NOT_FINITE:
-            self._give_up("the filter's estimate is not finite")
+        if outcome != NOT_FINITE:
+            self.told = float(u.nis), float(u.innovation.size), float(u.lam)
+            self.cov = cov
+            self.events += [(self.t_s, -1, *note) for note in getattr(self.filter, "notes", ())]
+        if outcome != FINE:
+            self._give_up(WHY[outcome])
             return
-        self.update, self.cov = u, cov
-        self.events += [(self.t_s, -1, *note) for note in getattr(self.filter, "notes", ())]
-        if outcome == ABSURD:
-            self._give_up("estimated velocity or clock drift beyond any receiver's")
-            return
-        self.events += self.lock.watch(self.t_s, bits.channel, measurement.z)
-        self._choose_model(u, measurement)
+        self.events += self.lock.watch(self.t_s, measurement.channel, measurement.z)
+        square = math.nan
+        if self.coherent:
+            square = self.lock.quadrature_square(u, measurement.z.shape[1])
+        self._choose_model(square)
         self.epoch += 1
 
     def _give_up(self, reason: str) -> None:
@@ -171,34 +241,22 @@ class UltraTight:
             return found
         return kept_apart(found, bits, k.channels.pilot, k.data_bits, k.first_bit)
 
-    def _prediction(self) -> Prediction:
-        s, n, T = self.steering, self.layout.n, self.settings.epoch_s
-        phi, q, force = np.empty((n, n)), np.empty((n, n)), np.empty((2, 3))
-        work = np.empty((n + 1, n))
-        _transition(
-            s.buffer, T, self.u_before, self.layout.n_scale, self.layout.n_phase,
-            self.clock_lag_s, self._densities, work, phi, q, force,
-        )  # fmt: skip
-        if self.epoch == 0:
-            force[1] = 0.0
-        return Prediction(
-            phi, q, self.t_s, self.epoch, T, force[0], force[1], s.C_b_e.copy(), self.layout,
-            self.n_channel,
-        )  # fmt: skip
-
     def _feed_back(self, x: np.ndarray, phase_m: np.ndarray) -> None:
         n = self.layout.phase.start
         feed_back(self.steering.buffer, self.sky.arcs, x[:n], phase_m, self.t_s)
 
-    def _choose_model(self, u: Update, measurement: Measurement) -> None:
-        """Start in D, hand over to C; on loss fall back to D for a while, if allowed."""
+    def _choose_model(self, square: float) -> None:
+        """Start in D, hand over to C; on loss fall back to D for a while, if allowed.
+
+        square: mean normalised square of the quadrature innovations in C, NaN without any.
+        """
         if self.settings.measurement != "coherent":
             return
         if not self.coherent:
             if self.t_s >= self.returns_at_s - 1e-9:
                 self._hand_over()
             return
-        self.lock.watch_quadrature(u, measurement)
+        self.lock.watch_quadrature(square)
         reason = self.lock.loss()
         if reason and self.settings.fall_back:
             self._fall_back(reason)
@@ -212,7 +270,7 @@ class UltraTight:
         cov[self.layout.phase, self.layout.phase] = np.diag(radian_m**2)
         self.cov = cov
         self._feed_back(np.zeros(n), -np.angle(self.amplitudes.prompt) * radian_m)
-        self.coherent = True
+        self.coherent, self.at_once = True, None
         self.filter.reset()
         self.lock.restart()
         self.events.append((self.t_s, -1, "hand-over", "differential to coherent"))
@@ -225,7 +283,7 @@ class UltraTight:
         self.layout = self._layout()
         n = self.layout.n
         self.cov = self.cov[:n, :n] + self.knows.initial_covariance(self.layout.n_scale)
-        self.coherent = False
+        self.coherent, self.at_once = False, None
         self.returns_at_s = self.t_s + self.settings.return_s
         self.filter.reset()
         self.lock.restart()
@@ -273,78 +331,14 @@ class UltraTight:
 
     def write(self, rows: Rows, k: int) -> None:
         """Write row k of each field."""
-        u = self.update
-        nis, size, lam = (u.nis, u.innovation.size, u.lam) if u is not None else (np.nan,) * 3
         _write(
             rows.block[k], self.steering.buffer, self.cov, self.lock.indicator,
-            self.amplitudes.amplitude2, self.half_s, float(nis), float(size), float(lam),
-            float(self.coherent), self.layout.n_scale,
+            self.amplitudes.amplitude2, self.half_s, *self.told, float(self.coherent),
+            self.layout.n_scale,
         )  # fmt: skip
 
 
 # ---- kernels ---------------------------------------------------------------------------------
-
-
-@borrowing
-def _transition(
-    buffer: np.ndarray,
-    T: float,
-    u_before: np.ndarray,
-    n_scale: int,
-    n_phase: int,
-    clock_lag_s: float,
-    density: np.ndarray,
-    work: np.ndarray,
-    Phi: np.ndarray,
-    Q: np.ndarray,
-    force: np.ndarray,
-) -> None:
-    """Phi and Q of the epoch of T seconds that ends now; force (2, 3): its mean and its change.
-
-    u_before (n_channel, 3) comes with the lines of sight of the epoch before, leaves with these.
-    """
-    s = views(buffer, u_before.shape[0])
-    _, _, _, vx, vy, vz = lever(s)
-    for i in range(u_before.shape[0]):
-        for k in range(3):
-            u_before[i, k] = (s.u[i, k] - u_before[i, k]) / T
-    transition_into(
-        s.r_eb_e, s.C_b_e, s.mean_force[0], T, s.u, u_before, (vx, vy, vz), n_scale, n_phase,
-        density, work, Phi, Q,
-    )  # fmt: skip
-    if n_phase:
-        clock_step_into(T, clock_lag_s, n_scale, n_phase, density, Phi, Q)
-    for i in range(u_before.shape[0]):
-        for k in range(3):
-            u_before[i, k] = s.u[i, k]
-    for k in range(3):
-        force[0, k] = s.mean_force[0, k]
-        force[1, k] = s.mean_force[0, k] - s.mean_force[1, k]
-
-
-@borrowing
-def _settle(
-    buffer: np.ndarray,
-    sky: np.ndarray,
-    mean: np.ndarray,
-    cov: np.ndarray,
-    n: int,
-    no_phase: np.ndarray,
-    t_s: float,
-) -> int:
-    """Feed back an estimate of n states and phases, if any, where it is finite; is it absurd?"""
-    total = 0.0
-    for i in range(mean.size):
-        total += 0.0 * mean[i]
-        for j in range(mean.size):
-            total += 0.0 * cov[i, j]
-    if total != 0.0:
-        return NOT_FINITE
-    feed_back(buffer, sky, mean[:n], mean[n:] if mean.size > n else no_phase, t_s)
-    s = views(buffer, no_phase.size)
-    v = s.v_eb_e
-    speed = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
-    return ABSURD if speed > ABSURD_SPEED_MPS or abs(s.clock[1]) > ABSURD_DRIFT_MPS else FINE
 
 
 @borrowing
