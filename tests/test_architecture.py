@@ -55,8 +55,8 @@ def test_a_simulation_draws_nothing() -> None:
 def test_packages_do_not_print() -> None:
     """Only the command line and the showcase talk; everything else returns or logs."""
     talkers = {
-        "__main__.py", "if_commands.py", "options.py", "showcase.py", "study.py",
-        "sweep_commands.py",
+        "__main__.py", "acquire_commands.py", "if_commands.py", "options.py", "showcase.py",
+        "study.py", "sweep_commands.py",
     }  # fmt: skip
     silent = [
         path

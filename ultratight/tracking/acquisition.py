@@ -29,7 +29,7 @@ from signals.codes import GPS_L1CA
 from signals.recording import IfSource
 from signals.signal_row import Signal
 from ultratight.tracking.code_search import Grid, energies, grid
-from ultratight.tracking.fine_acquisition import Fine, refine
+from ultratight.tracking.fine_acquisition import Fine, code_sense, refine
 from ultratight.tracking.signal_removal import without
 
 _CROSS_POWER = 10.0 ** (-21.1 / 10.0)
@@ -39,6 +39,8 @@ _UNSEEN_DBHZ = 50.0
 """What a satellite may have that is not searched"""
 _ON_AIR = {"L1CA": (*range(1, 33), *range(120, 159), *range(183, 207))}
 """Codes that are sent: GPS, SBAS, QZSS (IS-GPS-200 table 3-Ia, 6-I; IS-QZSS-PNT 3.2)"""
+_SENSE_SIGMA = 0.2
+"""Five of these are between right and undecided"""
 _FINE_S = 0.1
 """What is taken of a recording for the fine estimates, if it is that long"""
 
@@ -196,6 +198,22 @@ def surface(
     ((_, energy),) = energies(source, g, _prns(signal, [prn]))
     levels = _levels(energy, g.n_block)[0]
     return Surface(g.doppler_hz, g.code_phase_chips, energy[0] / levels[:, None])
+
+
+def is_inverted(source: IfSource, signal: Signal, rows: Sequence[Acquisition]) -> bool:
+    """Do codes run against carriers: are the Dopplers found of the wrong sign?
+
+    So they are where Q is negated or a mixer took the other sideband.  False where it cannot be
+    told: too few samples, satellites or Hz.
+    """
+    found = [row for row in rows if row.found]
+    if not found:
+        return False
+    at = Fine(*(np.array([getattr(row, name) for row in found]) for name in Fine._fields))
+    first = found[0].sample_index
+    end = min(int(getattr(source, "end_sample", first)), first + round(source.sample_rate_hz))
+    sense, sigma = code_sense(source, signal, [row.prn for row in found], at, first, end)
+    return sigma < _SENSE_SIGMA and sense < 0.0
 
 
 class _Peak(NamedTuple):

@@ -27,6 +27,7 @@ from signals.signal_row import Signal
 _TURNS = 3
 """Of the code phase: from 1/4 of a chip each leaves less than a third of the error"""
 _FLOOR_TAPS = 16
+_PULL_IN_CHIPS = 0.4
 _PADDING = 4
 """The spectrum of squared prompts is read at this multiple of their number"""
 
@@ -77,6 +78,42 @@ def refine(
         code_phase_chips=now.code_phase_chips % signal.length_chips,
         cn0_dbhz=np.where(ratio > 0.0, cn0, start.cn0_dbhz),
     )
+
+
+def code_sense(
+    source: IfSource,
+    signal: Signal,
+    prns: Sequence[int],
+    at: Fine,
+    first_sample: int,
+    end_sample: int,
+) -> tuple[float, float]:
+    """How fast codes run with their carriers, and its standard deviation: 1, or -1 if inverted.
+
+    Code phases some time after ``first_sample`` (their origin, estimated up to there) against those
+    that the Dopplers predict: 2 f_D / f_carrier of the chip rate lies between the two.  Without
+    enough samples or Doppler the standard deviation is large, or infinite.
+    """
+    period_s = signal.length_chips / signal.chip_rate_hz
+    seconds = (end_sample - first_sample) / source.sample_rate_hz
+    gain = signal.chip_rate_hz / signal.carrier_hz * at.doppler_hz
+    fastest = float(np.abs(gain).max(initial=0.0))
+    # so long that the codes are not lost, and half of the samples are left
+    later = min(0.5 * seconds, _PULL_IN_CHIPS / (2.0 * fastest)) if fastest else 0.0
+    n = first_sample + round(later * source.sample_rate_hz)
+    if later < 10.0 * period_s:
+        return 1.0, np.inf
+    moved = signal.chip_rate_hz * later + gain * later
+    start = at._replace(code_phase_chips=(at.code_phase_chips + moved) % signal.length_chips)
+    now = refine(source, signal, prns, start, n, end_sample)
+    half = signal.length_chips / 2.0
+    away = (now.code_phase_chips - start.code_phase_chips + half) % signal.length_chips - half
+    # of a difference of two early-late estimates (Kaplan & Hegarty, 3rd ed., 8.5.1), in chips^2
+    power = 10.0 ** (at.cn0_dbhz / 10.0)
+    variance = (1.0 + 2.0 / (power * period_s)) / (power * min(later, seconds - later))
+    lever = gain * later
+    weight = float(np.sum(lever**2 / variance))
+    return 1.0 + float(np.sum(lever * away / variance)) / weight, weight**-0.5
 
 
 def _taps(
