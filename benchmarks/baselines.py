@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numba import njit
+from scipy.fft import fft, ifft
 
 from benchmarks.scene import N_CHANNEL, Scene
+from signals.codes import GPS_L1CA
+from signals.recording import Recording
 
 
 @njit
@@ -44,6 +49,26 @@ def numpy_correlator(scene: Scene, offsets: np.ndarray, n: int) -> np.ndarray:
             index = np.floor(x - offset).astype(np.int64) % scene.chips.shape[1]
             out[i, k] = wiped @ scene.chips[i, index]
     return out
+
+
+def plain_search(source: Recording, prns: Sequence[int], blocks: int) -> np.ndarray:
+    """Highest energy over the median of each PRN: +-5 kHz in 500 Hz, sums of 1 ms, in numpy.
+
+    One FFT of the wiped-off samples per Doppler, one inverse per PRN, all milliseconds at once.
+    """
+    fs = source.sample_rate_hz
+    n = round(fs * 1e-3)
+    z = source.samples(0, n * blocks).astype(np.float32).view(np.complex64)[:, 0]
+    t, best = np.arange(n * blocks) / fs, np.zeros(len(prns))
+    chip = np.floor(1.023e6 * t[:n]).astype(np.int64) % 1023
+    codes = [np.conj(fft(GPS_L1CA.chips(prn)[chip].astype(np.complex64))) for prn in prns]
+    for doppler in np.arange(-5000.0, 5001.0, 500.0):
+        wiped = z * np.exp(-2j * np.pi * (source.if_hz + doppler) * t).astype(np.complex64)
+        spectra = fft(wiped.reshape(blocks, n))
+        for i, code in enumerate(codes):
+            energy = (np.abs(ifft(spectra * code)) ** 2).sum(axis=0)
+            best[i] = max(best[i], energy.max() / np.median(energy))
+    return best
 
 
 @njit
