@@ -52,8 +52,7 @@ class HalfBitPhases:
         As in `tap_functions` the prompt's R(d) counts as constant.
         """
         z, J = np.empty((y.shape[0], K)), np.empty((y.shape[0], K, 3))
-        for b in range(y.shape[0]):
-            _one(y[b], self.params[b], z[b], J[b])
+        _tangent(y, self.params, z, J)
         return z, J
 
 
@@ -76,13 +75,8 @@ def kept_apart(
     if data_bits is not None:
         sent = ~pilot[bits.channel]
         data[sent] = data_bits[bits.channel[sent], bits.number[sent] - first_bit]
-    variance = 2.0 * coherent.R[:, 0, 0]  # that of the whole bit is 1 / (2 A^2)
-    prompt = bits.iq[:, :, PROMPT] * (data * np.sqrt(variance))[:, None]
     z, R = np.empty((nb, K)), np.zeros((nb, K, K))
-    z[:, 0:4:2], z[:, 1:4:2], z[:, 4] = prompt.real, -prompt.imag, coherent.z[:, 2]
-    for q in range(4):
-        R[:, q, q] = variance
-    R[:, 4, 4] = coherent.R[:, 2, 2]
+    _keep_apart(bits.iq, data, coherent.z, coherent.R, z, R)
     apart = HalfBitPhases(model.params)
     return coherent._replace(z=z, R=R, h=apart, h_jacobian=apart.jacobian)
 
@@ -98,8 +92,31 @@ def _evaluate(y: np.ndarray, params: np.ndarray, z: np.ndarray, J: np.ndarray) -
 
 
 @kernel
-def _one(y: np.ndarray, params: np.ndarray, z: np.ndarray, J: np.ndarray) -> None:
-    _point(y, params, z, J, True)
+def _tangent(y: np.ndarray, params: np.ndarray, z: np.ndarray, J: np.ndarray) -> None:
+    for b in range(y.shape[0]):
+        _point(y[b], params[b], z[b], J[b], True)
+
+
+@kernel
+def _keep_apart(
+    iq: np.ndarray,
+    data: np.ndarray,
+    whole_z: np.ndarray,
+    whole_R: np.ndarray,
+    z: np.ndarray,
+    R: np.ndarray,
+) -> None:
+    """z (nb, 5) and the diagonal of R (nb, 5, 5), which is zero elsewhere."""
+    for b in range(data.size):
+        variance = 2.0 * whole_R[b, 0, 0]  # that of the whole bit is 1 / (2 A^2)
+        scale = data[b] * math.sqrt(variance)
+        for h in range(2):
+            prompt = iq[b, h, PROMPT] * scale
+            z[b, 2 * h], z[b, 2 * h + 1] = prompt.real, -prompt.imag
+        z[b, 4] = whole_z[b, 2]
+        for q in range(4):
+            R[b, q, q] = variance
+        R[b, 4, 4] = whole_R[b, 2, 2]
 
 
 @borrowing
