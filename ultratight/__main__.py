@@ -194,6 +194,7 @@ def _version(wanted: bool) -> None:
 app.command()(if_commands.generate)
 app.command()(if_commands.info)
 app.command()(acquire_commands.acquire)
+app.command()(acquire_commands.track)
 app.command()(sweep_commands.sweep)
 app.command()(sweep_commands.rerun)
 app.command()(studies.study)

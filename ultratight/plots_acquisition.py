@@ -1,4 +1,4 @@
-"""What a search for satellites looks like: how far above the threshold, and one surface."""
+"""What search and tracking of a recording look like: peaks, one surface, prompts."""
 
 from __future__ import annotations
 
@@ -10,9 +10,12 @@ from matplotlib.figure import Figure
 
 from ultratight.plots import COLOURS, SMALL
 from ultratight.tracking.acquisition import Acquisition, Surface
+from ultratight.tracking.from_samples import Tracks
 
 _COLUMNS = 256
 """Of the whole surface: more would hide a peak of one pixel"""
+_POINTS = 4000
+"""Of a line, at most twice as many"""
 _ZOOM_CHIPS = 4.0
 _LEAST_DB = -3.0
 """Where the colours begin, against the noise level"""
@@ -50,6 +53,35 @@ def bars(rows: Sequence[Acquisition], ax: Axes) -> Axes:
     ax.set_ylabel("peak / threshold")
     ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, fontsize=SMALL, frameon=False)
     return ax
+
+
+def tracks(of: Tracks, title: str) -> Figure:
+    """Prompts of all channels over time, and in the plane; one row of panels per satellite."""
+    n = max(1, len(of.prn))
+    fig = Figure(figsize=(9.0, 1.2 + 1.1 * n), layout="constrained")
+    axes = fig.subplots(n, 2, squeeze=False, sharex="col", width_ratios=(6.0, 1.0))
+    for i, (over_time, plane) in enumerate(axes[: len(of.prn)]):
+        rows = of.channel == i
+        prompt = of.iq[rows, 1]
+        step = max(1, len(prompt) // _POINTS)
+        t, late = of.t_s[rows][::step], prompt[len(prompt) // 2 :]
+        over_time.plot(t, prompt.real[::step], color=COLOURS[0], linewidth=0.7, label="I")
+        over_time.plot(t, prompt.imag[::step], color=COLOURS[1], linewidth=0.7, label="Q")
+        over_time.set_ylabel(f"PRN {of.prn[i]}", fontsize=SMALL)
+        late = late[:: max(1, len(late) // _POINTS)]
+        plane.plot(late.real, late.imag, ".", markersize=2.0, color="black")
+        plane.set_aspect("equal", adjustable="datalim")
+        for ax in (over_time, plane):
+            ax.tick_params(labelsize=SMALL - 1)
+    axes[-1, 0].set_xlabel("time from sample 0 [s]")
+    axes[-1, 1].set_xlabel("I", fontsize=SMALL)
+    axes[0, 1].set_title("Q over I, later half", fontsize=SMALL)
+    if len(of.prn):
+        axes[0, 0].legend(
+            loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, fontsize=SMALL, frameon=False
+        )
+    fig.suptitle(f"{title}: prompts of 1 ms [standard deviations of the noise]", fontsize=SMALL + 1)
+    return fig
 
 
 def whole(surface: Surface, ax: Axes) -> Axes:

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from signals.correlator import SampleCorrelator
-from signals.nco import Nco
+from signals.nco import Nco, Taps
 from signals.recording import IfSource
 from signals.replica import replicas
 from signals.signal_row import Signal
@@ -57,17 +57,19 @@ def refine(
     near = np.array([-spacing, 0.0, spacing])
     far = np.round((np.arange(_FLOOR_TAPS) + 1.5) * signal.length_chips / (_FLOOR_TAPS + 2))
     span = first_sample, end_sample
-    prompts = _taps(source, signal, prns, start, near[1:2], span)
+    prompts = _by_satellite(period_taps(source, signal, prns, start, near[1:2], span), len(prns))
     if not all(len(z) for z in prompts):
         return start
     period_s = signal.length_chips / signal.chip_rate_hz
-    doppler = start.doppler_hz + [_residual_hz(z[:, 0], period_s) for z in prompts]
+    doppler = start.doppler_hz + [residual_hz(z[:, 0], period_s) for z in prompts]
     now = start._replace(doppler_hz=doppler)
     slope = signal.modulation.early_late_slope(spacing)
     for turn in range(_TURNS):
         last = turn == _TURNS - 1
-        taps = _taps(source, signal, prns, now, np.concatenate([near, far]) if last else near, span)
-        power = np.array([np.mean(np.abs(z) ** 2, axis=0) for z in taps])
+        offsets = np.concatenate([near, far]) if last else near
+        taps = period_taps(source, signal, prns, now, offsets, span)
+        each = _by_satellite(taps, len(prns))
+        power = np.array([np.mean(np.abs(z) ** 2, axis=0) for z in each])
         # unit noise in each of I and Q
         early, prompt, late = np.sqrt(np.maximum(power[:, :3] - 2.0, 1e-3)).T
         delay = np.clip((late - early) / (2.0 * slope * prompt), -spacing, spacing)
@@ -116,15 +118,15 @@ def code_sense(
     return 1.0 + float(np.sum(lever * away / variance)) / weight, weight**-0.5
 
 
-def _taps(
+def period_taps(
     source: IfSource,
     signal: Signal,
     prns: Sequence[int],
     at: Fine,
     offset_chips: np.ndarray,
     span: tuple[int, int],
-) -> list[np.ndarray]:
-    """Taps (n_dump, n_tap) of each satellite, replicas running at constant Doppler."""
+) -> Taps:
+    """Taps of the single code periods within samples ``span``, replicas at constant Doppler."""
     n = len(prns)
     rows = [signal.modulation.modulate(signal.chips(prn)) for prn in prns]
     nco = Nco(
@@ -137,12 +139,16 @@ def _taps(
         np.full(n, signal.length_chips, np.int64),
         np.ones(n, bool),
     )
-    taps = SampleCorrelator(source, replicas(rows, signal.per_chip), offset_chips)(nco)
+    return SampleCorrelator(source, replicas(rows, signal.per_chip), offset_chips)(nco)
+
+
+def _by_satellite(taps: Taps, n: int) -> list[np.ndarray]:
+    """Taps (n_dump, n_tap) of each of n satellites."""
     return [taps.iq[taps.channel == i] for i in range(n)]
 
 
-def _residual_hz(prompts: np.ndarray, period_s: float) -> float:
-    """Frequency left in the prompts (n,), within +-1 / (4 T)."""
+def residual_hz(prompts: np.ndarray, period_s: float) -> float:
+    """Frequency left in the prompts (n,) of one code period each, within +-1 / (4 T)."""
     n = _PADDING * len(prompts)
     size = np.abs(np.fft.fft(prompts**2, n))
     k = int(size.argmax())
