@@ -82,9 +82,9 @@ def acquire(
     plot: Plot = None,
     as_json: Json = False,
 ) -> None:
-    """Find the satellites in an IF file: Doppler, code phase at the first sample, C/N0.
+    """Find the satellites in an IF file.
 
-    The peak of each PRN is compared with the noise that its own search shows; a PRN that is not
+    Prints Doppler, code phase at the first sample and C/N0 of each. The peak of each PRN is compared with the noise that its own search shows; a PRN that is not
     there is found with the probability --false-alarm.
     """
     from signals.codes import signal
@@ -149,9 +149,9 @@ def track(
     plot: Plot = None,
     as_json: Json = False,
 ) -> None:
-    """Find the GPS C/A satellites in an IF file and track them to its end.
+    """Track the GPS satellites in an IF file.
 
-    Every channel finds its own bit edges and has its own phase and code loop. Bits are those
+    Those found are tracked to its end. Every channel finds its own bit edges and has its own phase and code loop. Bits are those
     whose 20 ms were tracked; each channel's sign is unknown.
     """
     from signals.codes import GPS_L1CA

@@ -32,8 +32,8 @@ def bit_edge(prompts: np.ndarray, period_s: float, per_bit: int) -> BitEdge:
 
     The probability is what it says from 27 dB-Hz on with 200 prompts of 1 ms; below, the Doppler
     taken from squared prompts may be wrong, and it says too much (25 dB-Hz: 0.79, and 0.53 are
-    right).  The Doppler may be up to 1 / (4 ``period_s``); its change must not turn the phase by more
-    than some 0.1 cycles.
+    right).  The Doppler may be up to 1 / (4 ``period_s``); its change must not turn the phase by
+    more than some 0.1 cycles.
 
     Raises
     ------
