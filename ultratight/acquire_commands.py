@@ -84,8 +84,9 @@ def acquire(
 ) -> None:
     """Find the satellites in an IF file.
 
-    Prints Doppler, code phase at the first sample and C/N0 of each. The peak of each PRN is compared with the noise that its own search shows; a PRN that is not
-    there is found with the probability --false-alarm.
+    Prints Doppler, code phase at the first sample and C/N0. The peak of each PRN is compared
+    with the noise that its own search shows; a PRN that is not there is found with the probability
+    --false-alarm.
     """
     from signals.codes import signal
     from signals.sigmf_files import open_recording
@@ -151,8 +152,8 @@ def track(
 ) -> None:
     """Track the GPS satellites in an IF file.
 
-    Those found are tracked to its end. Every channel finds its own bit edges and has its own phase and code loop. Bits are those
-    whose 20 ms were tracked; each channel's sign is unknown.
+    Those found are tracked to its end. Every channel finds its own bit edges and has its own phase
+    and code loop. Bits are those whose 20 ms were tracked; each channel's sign is unknown.
     """
     from signals.codes import GPS_L1CA
     from signals.sigmf_files import open_recording
