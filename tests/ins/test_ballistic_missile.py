@@ -86,6 +86,30 @@ def test_increments_carry_one_attitude_to_the_next():
 
 
 @pytest.mark.nojit
+@pytest.mark.parametrize("seed", range(5))
+def test_increments_are_body_rates(seed):
+    """(18) and (19) as corrected: C omega_b = M times the rates; omega_b by differences."""
+    rng = np.random.default_rng(seed)
+    gamma, psi, phi = angles = rng.uniform([-3.0, -1.2, -3.0], [3.0, 1.2, 3.0])
+    rates = rng.standard_normal(3)  # roll', heading', pitch'
+    body = np.array([
+        [-np.sin(psi), 0.0, 1.0],
+        [np.sin(gamma) * np.cos(psi), np.cos(gamma), 0.0],
+        [np.cos(gamma) * np.cos(psi), -np.sin(gamma), 0.0],
+    ]) @ rates[::-1]  # fmt: skip
+    inertial = np.array([
+        [0.0, -np.sin(phi), np.cos(psi) * np.cos(phi)],
+        [0.0, np.cos(phi), np.cos(psi) * np.sin(phi)],
+        [1.0, 0.0, -np.sin(psi)],
+    ]) @ rates[::-1]  # fmt: skip
+    C, _ = turned([angles, angles])
+    np.testing.assert_allclose(C[0] @ body, inertial, atol=1e-14)
+    h = 1e-5
+    _, alpha = turned([angles - h * rates, angles + h * rates])
+    np.testing.assert_allclose(alpha[0] / (2.0 * h), body, atol=1e-9)
+
+
+@pytest.mark.nojit
 @pytest.mark.parametrize(
     ("change", "message"),
     [
