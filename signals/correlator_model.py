@@ -24,13 +24,10 @@ from typing import Any
 import numpy as np
 
 from signals.compiled import borrowing, kernel
-from signals.constants import CA_CHIP_RATE_HZ
 from signals.correlations import Correlations, correlations_of, tap_factor
 from signals.error_integral import (
     SPREAD,
-    TRUTH_COLUMNS,
     edge,
-    fill_truth,
     integrate,
     replica_at,
     truth_piece,
@@ -40,9 +37,7 @@ from signals.nco import Nco, Taps
 from signals.noise import normals, stream_key
 from signals.propagation import SignalState
 from signals.replica import Replicas
-
-SELF_SEPARATION_DB_PER_HZ = 10.0 * math.log10(2.0 / (3.0 * CA_CHIP_RATE_HZ))
-"""Spectral separation of BPSK(1) from itself, 2 / (3 Rc): -61.86 dB/Hz (Kaplan & Hegarty, ch. 9)"""
+from signals.truth_table import FAR, check_symbols, truth_table
 
 _TIME_TOLERANCE_S = 1e-10
 
@@ -67,7 +62,7 @@ class ModelCorrelator:
     period_chips : integrations are multiples of it, of all channels or of each; None: of the
         replica's period.
     multiple_access : the other satellites add white noise, var = 1 + sum_j (C_j/N0) 2 / (3 Rc)
-        (`SELF_SEPARATION_DB_PER_HZ`); ``Taps.noise_var`` stays 1, the correlator cannot know.
+        (`signals.truth_table`); ``Taps.noise_var`` stays 1, the correlator cannot know.
     sample_rate_hz : bounds fall on samples as in a `SampleCorrelator`; None: continuous time.
     noise : False leaves the mean only.
 
@@ -105,10 +100,10 @@ class ModelCorrelator:
                 f"each of the {n_channel} channels of the truth"
             )
         symbol_chips = np.broadcast_to(np.asarray(symbol_chips, np.int64), (n_channel,)).copy()
-        _check_symbols(state, symbol_chips)
+        check_symbols(state, symbol_chips)
         whole = own.period // own.per_chip if period_chips is None else period_chips
         self._period_chips = np.broadcast_to(np.asarray(whole, np.int64), (n_channel,))
-        self._truth = _truth_table(state, multiple_access, own.kept)
+        self._truth = truth_table(state, multiple_access, own.kept)
         self._symbols = np.ascontiguousarray(state.symbols, dtype=np.int8)
         facts = [symbol_chips, own.first, own.period, own.per_chip, prn, self._period_chips]
         factor = [tap_factor(own, i, self.offset_chips) for i in range(n_channel)]
@@ -163,7 +158,7 @@ def _what_is_wrong(nco: Nco) -> str:
     """Say which number of a valid channel cannot be run."""
     for name in Nco._fields[1:6]:
         values = getattr(nco, name)[:, nco.valid]
-        most = 0.5 * _FAR if "phase" in name else _FAST / 3.0
+        most = 0.5 * FAR if "phase" in name else _FAST / 3.0
         far = ~(np.abs(values) <= most)
         if far.any():
             return (
@@ -173,50 +168,11 @@ def _what_is_wrong(nco: Nco) -> str:
     return f"nco.chip_rate_hz is {nco.chip_rate_hz[:, nco.valid].min()}: expected > 0"
 
 
-def _check_symbols(state: SignalState, symbol_chips: np.ndarray) -> None:
-    """Refuse absurd phases, and symbols that do not cover the code phase of every valid piece."""
-    if not state.valid.any():
-        return
-    for name in ("code_phase_chips", "carrier_phase_cycles"):
-        values = getattr(state, name)[state.valid]
-        if not np.all(np.abs(values) <= _FAR):
-            far = values[~(np.abs(values) <= _FAR)][0]
-            raise ValueError(f"state.{name} contains {far}: expected at most {_FAR:g} in size")
-    step = np.diff(state.t_s)
-    code = state.code_phase_chips
-    end = code[..., 0] + step * (code[..., 1] + step * (code[..., 2] + step * code[..., 3]))
-    first = math.floor((code[..., 0] / symbol_chips[:, None])[state.valid].min())
-    last = math.floor((end / symbol_chips[:, None])[state.valid].max())
-    last_given = state.first_symbol + state.symbols.shape[1] - 1
-    if first < state.first_symbol or last > last_given:
-        raise ValueError(
-            f"symbols {state.first_symbol} to {last_given} do not cover the truth: expected "
-            f"{first} to {last}"
-        )
-
-
-def _truth_table(state: SignalState, multiple_access: bool, kept: np.ndarray) -> np.ndarray:
-    """The truth as rows of `error_integral`: (n_piece, n_channel, TRUTH_COLUMNS)."""
-    cn0_hz = np.where(state.valid, 10.0 ** (np.asarray(state.cn0_dbhz) / 10.0), 0.0)
-    spread = np.ones_like(cn0_hz)
-    if multiple_access:
-        others = cn0_hz.sum(axis=0) - cn0_hz
-        spread = np.sqrt(1.0 + others * 10.0 ** (SELF_SEPARATION_DB_PER_HZ / 10.0))
-    n_channel, n_piece = state.valid.shape
-    table = np.empty((n_piece, n_channel, TRUTH_COLUMNS))
-    fill_truth(
-        np.ascontiguousarray(state.t_s), np.ascontiguousarray(state.code_phase_chips),
-        np.ascontiguousarray(state.carrier_phase_cycles), np.sqrt(cn0_hz * kept[:, None]), spread,
-        table,
-    )  # fmt: skip
-    return table
-
-
 # ---- kernels ---------------------------------------------------------------------------------
 
 # columns of a channel's position: is the index known, is a sum open, index, length
 _KNOWN, _OPEN, _INDEX, _DUMP = 0, 1, 2, 3
-_FAR, _FAST = 2e15, 1e10  # phases and rates of a command: more would not fit the integers of sums
+_FAST = 1e10  # rates of a command: more would not fit the integers of sums, see `FAR`
 _CHIP_TOLERANCE = 1e-6  # in continuous time a code phase this little past a multiple is at it
 
 
@@ -303,7 +259,7 @@ def _most_dumps(nco: Nco, truth: np.ndarray, period_chips: np.ndarray) -> tuple[
             for p in range(n_piece):
                 phases = abs(code[p, i]) + abs(carrier[p, i])
                 rates = chip_rate[p, i] + abs(freq[p, i]) + abs(rate[p, i])
-                if not (phases <= _FAR and rates <= _FAST and chip_rate[p, i] > 0.0):
+                if not (phases <= FAR and rates <= _FAST and chip_rate[p, i] > 0.0):
                     return False, 0
                 fastest = max(fastest, chip_rate[p, i])
             most += 2.0 * n_piece + fastest * (t_s[n_piece] - t_s[0]) / dump_chips[i]

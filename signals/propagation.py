@@ -10,7 +10,7 @@ import numpy as np
 from signals.arcs import MIDDLE, arc_at, arc_index, arcs
 from signals.code_start import Nominal, code_phase_origin, nominal
 from signals.codes import GPS_L1CA
-from signals.compiled import borrowing, kernel
+from signals.compiled import borrowing
 from signals.constants import C_MPS, OMEGA_EARTH, WGS84_A, WGS84_E2, WGS84_F
 from signals.satellites import N_ELEMENT, orbit
 
@@ -116,7 +116,8 @@ def signal_state(
         raise ValueError(f"of has {len(of.carrier_hz)} channels, expected {n_channel}")
     origin = code_phase_origin(start_tow_s, of)
     rates = (origin, of.chip_rate_hz, of.carrier_hz)
-    _pieces(sky, start_tow_s, *rates, t_s, *motion, code, carrier)
+    room = np.empty((4, n_channel))
+    _pieces(sky, start_tow_s, *rates, t_s, *motion, room, code, carrier)
     signs = np.ascontiguousarray(symbols, dtype=np.int8)
     _check_symbols(signs, first_symbol, code[..., 0], on, of)
     return SignalState(t_s, code, carrier, cn0, on, signs, int(first_symbol))
@@ -350,7 +351,7 @@ def predict_epochs(
         )  # fmt: skip
 
 
-@kernel
+@borrowing
 def _pieces(
     arcs: np.ndarray,
     start_tow_s: float,
@@ -362,32 +363,37 @@ def _pieces(
     v: np.ndarray,
     clock_m: np.ndarray,
     clock_rate_mps: np.ndarray,
+    room: np.ndarray,
     code: np.ndarray,
     carrier: np.ndarray,
 ) -> None:
-    """Hermite cubics of every channel into code and carrier (n_channel, n_piece, 4)."""
+    """Hermite cubics of all channels into code, carrier (n_channel, n_piece, 4); room (4, n)."""
     n_piece = len(t_s) - 1
     h = (t_s[n_piece] - t_s[0]) / n_piece
-    for i in range(arcs.shape[2]):
-        y0 = m0 = 0.0
-        chips_per_m = chip_rate_hz[i] / C_MPS
-        cycles_per_m = carrier_hz[i] / C_MPS
-        for k in range(n_piece + 1):
-            tow_s = start_tow_s + t_s[k]
-            y1, m1, _, _, _ = pseudorange_by_arc(
-                arcs[arc_index(arcs, tow_s)], i, tow_s, r[k], v[k], clock_m[k], clock_rate_mps[k]
+    n = arcs.shape[2]
+    y0, m0, y1, m1 = room[0], room[1], room[2], room[3]
+    for k in range(n_piece + 1):
+        tow_s = start_tow_s + t_s[k]
+        arc = arcs[arc_index(arcs, tow_s)]
+        here, moving = (r[k, 0], r[k, 1], r[k, 2]), (v[k, 0], v[k, 1], v[k, 2])
+        ahead_m, ahead_mps = clock_m[k], clock_rate_mps[k]
+        for i in range(n):  # alone in its loop, so that several channels share a register
+            y1[i], m1[i], _, _, _ = pseudorange_by_arc(
+                arc, i, tow_s, here, moving, ahead_m, ahead_mps
             )
-            if k > 0:
-                mean = (y1 - y0) / h
-                a2 = (3.0 * mean - 2.0 * m0 - m1) / h
-                a3 = (m0 + m1 - 2.0 * mean) / (h * h)
-                code[i, k - 1, 0] = origin[i] + chip_rate_hz[i] * t_s[k - 1] - chips_per_m * y0
-                code[i, k - 1, 1] = chip_rate_hz[i] - chips_per_m * m0
-                code[i, k - 1, 2] = -chips_per_m * a2
-                code[i, k - 1, 3] = -chips_per_m * a3
-                carrier[i, k - 1, 0] = -cycles_per_m * y0
-                carrier[i, k - 1, 1] = -cycles_per_m * m0
-                carrier[i, k - 1, 2] = -cycles_per_m * a2
-                carrier[i, k - 1, 3] = -cycles_per_m * a3
-            y0 = y1
-            m0 = m1
+        for i in range(n if k > 0 else 0):
+            chips_per_m = chip_rate_hz[i] / C_MPS
+            cycles_per_m = carrier_hz[i] / C_MPS
+            mean = (y1[i] - y0[i]) / h
+            a2 = (3.0 * mean - 2.0 * m0[i] - m1[i]) / h
+            a3 = (m0[i] + m1[i] - 2.0 * mean) / (h * h)
+            code[i, k - 1, 0] = origin[i] + chip_rate_hz[i] * t_s[k - 1] - chips_per_m * y0[i]
+            code[i, k - 1, 1] = chip_rate_hz[i] - chips_per_m * m0[i]
+            code[i, k - 1, 2] = -chips_per_m * a2
+            code[i, k - 1, 3] = -chips_per_m * a3
+            carrier[i, k - 1, 0] = -cycles_per_m * y0[i]
+            carrier[i, k - 1, 1] = -cycles_per_m * m0[i]
+            carrier[i, k - 1, 2] = -cycles_per_m * a2
+            carrier[i, k - 1, 3] = -cycles_per_m * a3
+        for i in range(n):
+            y0[i], m0[i] = y1[i], m1[i]

@@ -67,13 +67,13 @@ def _room_for_dumps(n: int, n_tap: int) -> Dumps:
 class History:
     """Arrays that are filled row by row while the receiver runs."""
 
-    def __init__(self, closure: Any, n_epoch: int) -> None:
+    def __init__(self, closure: Any, n_epoch: int, dumps: bool = True) -> None:
         self.every = max(1, round(ROW_S / closure.epoch_s))
         n = n_epoch // self.every
         self.t_s = (np.arange(n) + 1) * self.every * closure.epoch_s
         self.fields = closure.fields()
         self.rows = Rows(n, self.fields)
-        self.keeps_dumps = "prompt_i" not in self.fields
+        self.keeps_dumps = dumps and "prompt_i" not in self.fields
         self.dumps: Dumps | None = None
         self.n_dump = 0
         self.nco: tuple[np.ndarray, np.ndarray] | None = None
@@ -139,21 +139,12 @@ def truth_variables(world: World, t_s: np.ndarray) -> dict[str, Variable]:
     clock_m = np.interp(t_s, world.t_s, world.clock.clock_m)
     # the state, not the slope between nodes, which white frequency noise makes rough
     clock_rate = np.interp(t_s, world.t_s, world.clock.drift_mps)
-    r, v = world.antenna(t_s)
-    n = world.prn.size
     imu, sensors = world.imu
-    rho, rate, u = np.empty((t_s.size, n)), np.empty((t_s.size, n)), np.empty((t_s.size, n, 3))
-    tow = world.scenario.start_tow_s
-    sky = arcs(world.elements, tow, tow + (t_s[-1] if t_s.size else 0.0))
-    predict_epochs(sky, tow + t_s, r, v, clock_m, clock_rate, rho, rate, u)
     accel_bias, gyro_bias = (
         np.stack([np.interp(t_s, imu.t_s, b) for b in sensors[name].T], axis=1)
         for name in ("accel_bias", "gyro_bias")
     )
-    elevation, azimuth = elevation_azimuth(r[:, None, :], u)
-    fault = world.effects(t_s)
-    rate += fault.delay_rate_mps.T
-    vector, channel = (EPOCH, "xyz"), (EPOCH, "channel")
+    vector = EPOCH, "xyz"
     return {
         "tap": Variable(world.offset_chips, ("tap",), "chips", "delay of the replica: E, P, L"),
         "r_eb_e_true": Variable(motion.r_eb_e, vector, "m", "true IMU position, ECEF"),
@@ -175,6 +166,23 @@ def truth_variables(world: World, t_s: np.ndarray) -> dict[str, Variable]:
         ),
         "clock_m_true": Variable(clock_m, (EPOCH,), "m", "true receiver clock bias"),
         "clock_rate_true": Variable(clock_rate, (EPOCH,), "m/s", "true receiver clock drift"),
+    }
+
+
+def sky_variables(world: World, t_s: np.ndarray) -> dict[str, Variable]:
+    """What each satellite truly is to the antenna at receiver times t_s."""
+    clock_m = np.interp(t_s, world.t_s, world.clock.clock_m)
+    clock_rate = np.interp(t_s, world.t_s, world.clock.drift_mps)
+    r, v = world.antenna(t_s)
+    n, channel = world.prn.size, (EPOCH, "channel")
+    rho, rate, u = np.empty((t_s.size, n)), np.empty((t_s.size, n)), np.empty((t_s.size, n, 3))
+    tow = world.scenario.start_tow_s
+    sky = arcs(world.elements, tow, tow + (t_s[-1] if t_s.size else 0.0))
+    predict_epochs(sky, tow + t_s, r, v, clock_m, clock_rate, rho, rate, u)
+    elevation, azimuth = elevation_azimuth(r[:, None, :], u)
+    fault = world.effects(t_s)
+    rate += fault.delay_rate_mps.T
+    return {
         "pseudorange_true": Variable(
             rho + fault.delay_m.T, channel, "m", "true pseudorange, with both clocks and faults"
         ),

@@ -12,7 +12,7 @@ from signals.nco import Correlator, Nco, Taps
 from ultratight import metrics
 from ultratight.filters.catalog import make_filter
 from ultratight.filters.gaussian import Filter
-from ultratight.history import History, truth_variables
+from ultratight.history import History, sky_variables, truth_variables
 from ultratight.ins.imu import Increments
 from ultratight.provenance import provenance
 from ultratight.results import Event, Run
@@ -72,6 +72,7 @@ def run(
     progress: Callable[[float], None] | None = None,
     filter: Filter | None = None,
     samples: SyntheticIf | Recording | None = None,
+    whole: bool = True,
 ) -> Run:
     """Fly a scenario.
 
@@ -86,6 +87,8 @@ def run(
         A user's own filter in place of the scenario's (``step``, ``reset``).
     samples : SyntheticIf or Recording, optional
         IF samples of the same scenario and seed, to be shared by several runs.
+    whole : bool
+        False: without dumps and where the satellites truly are, for many runs that need neither.
 
     Raises
     ------
@@ -97,13 +100,14 @@ def run(
     closure = new_closure(scenario, world.knows, filter)
     correlator, imu = world.correlator(), world.imu[0]
     flying = time.perf_counter()
-    history = fly(closure, correlator, imu, scenario.duration_s, progress)
+    history = fly(closure, correlator, imu, scenario.duration_s, progress, dumps=whole)
     wall, loop = time.perf_counter() - began, time.perf_counter() - flying
+    variables = history.variables(world.names) | truth_variables(world, history.t_s)
     run_ = Run(
         scenario=scenario.to_dict(),
         seed=seed,
         t_s=history.t_s,
-        variables=history.variables(world.names) | truth_variables(world, history.t_s),
+        variables=variables | (sky_variables(world, history.t_s) if whole else {}),
         events=[
             Event(round(float(t), 9), world.names[c] if c >= 0 else "", kind, why)
             for t, c, kind, why in closure.events
@@ -121,11 +125,13 @@ def fly(
     imu: Increments,
     duration_s: float,
     progress: Callable[[float], None] | None = None,
+    *,
+    dumps: bool = True,
 ) -> History:
     """The main loop. It sees no world: a receiver, its correlator and its IMU are all there is."""
     epoch_s = closure.epoch_s
     n_epoch = round(duration_s / epoch_s)
-    history = History(closure, n_epoch)
+    history = History(closure, n_epoch, dumps)
     report = max(1, round(PROGRESS_S / epoch_s))
     bounds = _increments_until(imu, epoch_s, n_epoch)
     for k in range(n_epoch):

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -39,18 +41,34 @@ def constellation(s: Scenario) -> Constellation:
         A navigation file that cannot be used, or no ephemeris at the start.
     """
     try:
-        if s.constellation == "embedded":
-            sky = satellites.embedded()
-        elif s.constellation == "nominal-24":
-            sky = nominal_24(s.start_week, s.start_tow_s)
-        elif s.constellation == "galileo-24":
-            sky = galileo_24(s.start_week, s.start_tow_s)
-        else:
-            sky = read_navigation(Path(s.constellation))
-        sky.select(s.start_week, s.start_tow_s)  # refuses a time without any
+        if s.constellation in _BUILT_IN:
+            return _built_in(s.constellation, s.start_week, s.start_tow_s)
+        return _at_start(read_navigation(Path(s.constellation)), s.start_week, s.start_tow_s)
     except (ValueError, OSError) as error:
         raise InvalidInput(f"constellation: {error}{other_sky(s)}") from None
-    return _one_set_each(sky, s.start_week, s.start_tow_s)
+
+
+_BUILT_IN: dict[str, Callable[[int, float], Constellation]] = {
+    "embedded": lambda week, tow_s: satellites.embedded(),
+    "nominal-24": nominal_24,
+    "galileo-24": galileo_24,
+}
+
+
+@lru_cache(maxsize=8)
+def _built_in(name: str, week: int, tow_s: float) -> Constellation:
+    """The runs of a sweep have the same; its arrays cannot be written to."""
+    sky = _at_start(_BUILT_IN[name](week, tow_s), week, tow_s)
+    for array in vars(sky).values():
+        if isinstance(array, np.ndarray):
+            array.flags.writeable = False
+    return sky
+
+
+def _at_start(sky: Constellation, week: int, tow_s: float) -> Constellation:
+    """One set per satellite; ValueError at a time without any."""
+    sky.select(week, tow_s)
+    return _one_set_each(sky, week, tow_s)
 
 
 def other_sky(s: Scenario) -> str:

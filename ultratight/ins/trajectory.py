@@ -301,21 +301,26 @@ def _move(
     omega: np.ndarray,
 ) -> None:
     """Fields of a `Motion` at each t (n,), in cell index (n,); N = C_n_e; g: inf for no bank."""
+    c0, s0, at = 1.0, 0.0, -1
     for k in range(t.size):
         cell = cells[index[k]]
+        if index[k] != at:
+            at = index[k]
+            c0, s0 = math.cos(cell[4]), math.sin(cell[4])
         h = t[k] - cell[0]
         da, dw = cell[3], cell[6]
         speed, accel = cell[1] + h * (cell[2] + 0.5 * da * h), cell[2] + da * h
         heading, rate = cell[4] + h * (cell[5] + 0.5 * dw * h), cell[5] + dw * h
         along, across = _displacement(h, cell[1], cell[2], da, cell[5], dw)
-        c0, s0 = math.cos(cell[4]), math.sin(cell[4])
         north, east = cell[7] + c0 * along - s0 * across, cell[8] + s0 * along + c0 * across
         # banked: tan(roll) = V psi' / g
         tangent = speed * rate / g
         cr = 1.0 / math.sqrt(1.0 + tangent * tangent)
         sr = tangent * cr
         roll_rate = (accel * rate + speed * dw) / g / (1.0 + tangent * tangent)
-        c, s = math.cos(heading), math.sin(heading)
+        c, s = c0, s0
+        if heading != cell[4]:
+            c, s = math.cos(heading), math.sin(heading)
         centripetal = speed * rate
         for i in range(3):
             forward, right = c * N[i, 0] + s * N[i, 1], c * N[i, 1] - s * N[i, 0]

@@ -90,17 +90,18 @@ def fly(task: Task) -> list[Record]:
             f"worker on {os.uname().nodename if hasattr(os, 'uname') else 'a machine'}: other "
             f"{other} than where the sweep was started, expected the same"
         )
-    return [fly_one(item, task)[0] for item in task.items]
+    return [fly_one(item, task, whole=False)[0] for item in task.items]
 
 
-def fly_one(item: Item, task: Task) -> tuple[Record, Run | None]:
-    """The record of a run, and the run; None where it failed."""
+def fly_one(item: Item, task: Task, whole: bool = True) -> tuple[Record, Run | None]:
+    """The record of a run, and the run, see `simulation.run`; None where it failed."""
     began = time.perf_counter()
     scenario, digest = _scenario(item.scenario, task.inputs)
     factory, own_sha = task.factories[item.own] if item.own is not None else (None, None)
     failure, flown = "", None
     try:
-        flown = simulate(scenario, item.seed, filter=None if factory is None else factory())
+        filter_ = None if factory is None else factory()
+        flown = simulate(scenario, item.seed, filter=filter_, whole=whole)
     except (OSError, MemoryError):
         raise
     except Exception as error:

@@ -101,6 +101,8 @@ class AtOnce:
         self.facts, self.memory, self.numbers = facts, memory, numbers
         self.d = 3 if layout.n_phase else 2
         self.table = rule.table(self.d)
+        self.lock = memory[3], *memory[7:]
+        self.few = numbers[1], numbers[2], numbers[8]
         if fading is None:
             self.watched = (np.zeros(0), np.zeros((0, 0)), np.zeros(0, np.bool_), 0.0, 0.0, 0)
         else:
@@ -144,7 +146,7 @@ class AtOnce:
             self.fading.elapsed_s += T
             may_open = self.fading.elapsed_s > self.fading.options.start_s
         outcome, row, in_phase, square = after_update(
-            after, self.memory, self.watched, self.numbers, cov, sky, no_phase, t_s, may_open
+            after, self.lock, self.watched, self.few, cov, sky, no_phase, t_s, may_open
         )
         return outcome, row, nis, in_phase, square
 
@@ -255,9 +257,9 @@ def after_update(
     ``cov`` becomes P1 where P1 is finite.
     """
     channel, z, q, P0, nu, H, noise, m1, P1, V = room
-    _, _, _, buffer, _, _, _, indicator, locked = memory
+    buffer, indicator, locked = memory
     inflated, V0, seen, rho, gate, row = watched
-    _, n_phase, phase_start, _, _, _, _, _, gain = numbers
+    n_phase, phase_start, gain = numbers
     square = math.nan
     if inflated.size > 0:
         is_open = watch_innovations(
@@ -268,7 +270,9 @@ def after_update(
     outcome = settle(buffer, sky, m1, P1, phase_start, no_phase, t_s)
     if outcome == NOT_FINITE:
         return outcome, 0, square, square
-    cov[:] = P1
+    for i in range(cov.shape[0]):
+        for j in range(cov.shape[0]):
+            cov[i, j] = P1[i, j]
     if outcome == ABSURD:
         return outcome, 0, square, square
     if n_phase:
