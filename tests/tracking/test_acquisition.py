@@ -165,16 +165,19 @@ def energy_by_definition(x: np.ndarray, g: code_search.Grid, prn: int, d: int, k
     return float(total)
 
 
+@pytest.mark.nojit
 def test_energies_are_their_definition() -> None:
     """Two blocks, an intermediate frequency, float32 sums: to 1e-4 of the mean energy."""
-    rate_hz = 2.5e6
-    pairs = noise(rate_hz, 5000, 3)
-    recording = Recording(pairs, rate_hz, 2.0e5)
-    g = Search(noncoherent=2, doppler_hz=2000.0).grid(recording, GPS_L1CA, 0)
+    rate_hz, n = 1.5e6, 1500
+    pairs = noise(rate_hz, 2 * n, 3)
+    recording = Recording(pairs, rate_hz, 1.0e5)
+    search = Search(noncoherent=2, doppler_hz=1000.0, delays_per_chip=1.0)
+    g = search.grid(recording, GPS_L1CA, 0)
     ((prns, energy),) = code_search.energies(recording, g, [5, 17])
-    centred = pairs.astype(float) - pairs.reshape(2, -1, 2).mean(axis=1).repeat(2500, axis=0)
+    assert energy.shape == (2, 5, 1024)
+    centred = pairs.astype(float) - pairs.reshape(2, -1, 2).mean(axis=1).repeat(n, axis=0)
     x = centred[:, 0] + 1j * centred[:, 1]
-    for i, d, k in ((0, 0, 0), (1, 3, 1000), (1, 8, 2047)):
+    for i, d, k in ((0, 0, 0), (1, 3, 500), (1, 4, 1023)):
         expected = energy_by_definition(x, g, prns[i], d, k)
         assert energy[i, d, k] == pytest.approx(expected, abs=1e-4 * float(energy.mean()))
 

@@ -4,8 +4,8 @@ The energies S of B blocks (`code_search`) are judged against the level of the n
 themselves show: the median over the delays, over that of the distribution.  Without a satellite S
 over its mean has a gamma distribution of shape B and mean 1, and the largest of n cells is above u
 with a probability of at most n Q(B, B u) (Kaplan & Hegarty, 3rd ed., 8.5.2; Q is the regularised
-upper incomplete gamma function).  Neighbouring cells are correlated, which leaves the true rate
-somewhat below the stated one.
+upper incomplete gamma function).  Neighbouring cells are correlated, which leaves 0.75 to 1 of the
+stated rate in white noise.
 
 The level is taken from each Doppler row and from all of them, the larger counts: narrow-band
 interference lifts the rows beside it (where it is far above the noise it is not taken away).
@@ -145,8 +145,9 @@ def acquire(
 
     ``prns`` is 1 to 32 of GPS unless given, and every PRN of other systems.  Fine estimates are of
     up to 0.1 s, or of what was searched where that is longer.  C/N0 is that against noise and
-    interference as they are; a front-end filter's correlation loss and, below the threshold plus
-    2 dB, the choice of the highest cell are in it: within 1 dB on unfiltered samples.
+    interference as they are, after the correlation loss of the front end's filter; on unfiltered
+    samples of C/A and 0.1 s its bias is within 0.1 dB and its standard deviation 0.3 to 0.15 dB
+    from 36 to 50 dB-Hz, that of the code phase 0.03 to 0.004 chips, of the Doppler 0.25 to 0.05 Hz.
 
     Raises
     ------
