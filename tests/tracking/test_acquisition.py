@@ -158,10 +158,10 @@ def energy_by_definition(x: np.ndarray, g: code_search.Grid, prn: int, d: int, k
         t, t_b = n / g.sample_rate_hz, (g.block_at(b) - g.first_sample) / g.sample_rate_hz
         s = t_b + (t_b + 0.5 * g.block_s) * g.doppler_hz[d] / g.signal.carrier_hz
         turns = np.outer(t, m) / g.period_s - m * (k / g.n_delay - s / g.period_s)
-        code = (np.exp(2j * np.pi * turns) @ c).real
+        code = np.exp(2j * np.pi * turns) @ c  # one line of the lowest pair alone: not quite real
         block = x[g.block_at(b) :][: g.n_sample]
         wiped = block * np.exp(-2j * np.pi * (g.if_hz + g.doppler_hz[d]) * t)
-        total += abs(wiped @ code) ** 2 / np.vdot(c, c).real
+        total += abs(np.vdot(code, wiped)) ** 2 / np.vdot(c, c).real
     return float(total)
 
 
