@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import xarray
 
+from signals.lnav_words import find_subframes
 from signals.recording import Recording
 from signals.sigmf_files import open_recording
 from ultratight.__main__ import main
@@ -58,6 +59,25 @@ def test_replicas_and_bits_are_those_of_the_truth(sky: Path) -> None:
             bits = truth.data_bits.values[i, sent - int(truth.bit.values[0])]
             assert len(bits) > 65
             assert abs(np.sum(np.sign(sums[3:].real) * bits)) == len(bits)
+
+
+def test_the_bits_are_a_subframe_with_its_time(tmp_path: Path) -> None:
+    """From samples to the time of week: ten words with right parity, as `generate` was told."""
+    words = ["generate", "static", "--duration", "7.2", "--rate", "2.046e6", "--quiet"]
+    words += ["--start", "2149:475223.3", "--set", "prns=[6, 17]", "--out", str(tmp_path / "long")]
+    assert main(words) == 0
+    recording = open_recording(tmp_path / "long")
+    rows = [row for row in acquire(recording, prns=[6, 17]) if row.found]
+    tracks = track(recording, rows, recording.end_sample)
+    for i in range(2):
+        sums, numbers = tracks.bits(i)
+        (found,) = find_subframes(np.where(sums.real < 0.0, -1, 1).astype(np.int8))
+        assert found.tow_s == 475_224.0
+        # it begins 0.7 s into the file, and takes 66 to 90 ms to arrive
+        mine = tracks.channel == i
+        begins = 20 * int(numbers[found.first_bit])
+        received_s = np.interp(begins, tracks.period[mine] + 1, tracks.t_s[mine])
+        assert 0.766 < received_s < 0.790
 
 
 def test_table_json_and_figure(sky: Path, tmp_path: Path, say: Callable[..., Any]) -> None:
