@@ -32,7 +32,7 @@ from ultratight.tracking.tap_model import TapModel, condition_taps
 
 BIT_MISSING, TO_FILTER, GATE_OPEN = range(3, 6)
 """What else may come of an epoch; the last two leave its update, or what follows, to the filter"""
-CODES = 6
+CODES = 3
 """Where the facts have `code_rows`"""
 BY_BIT = ("channel", "number", "span", "iq", "params", "z", "A", "R", "noise")
 """Arrays of a room with a row per bit"""
@@ -64,17 +64,21 @@ class Room(NamedTuple):
     V: np.ndarray  # (m, m) remembered innovations
 
 
-def new_room(most: int, n_tap: int, n_param: int, n: int, d: int) -> Room:
-    """Room for an epoch."""
+def new_room(most: int, n_tap: int, n_param: int, n: int, d: int) -> tuple[np.ndarray, Room]:
+    """Room for an epoch, and the block that most of its arrays are views of."""
     m = 3 * most
-    return Room(
-        np.empty(most, np.int64), np.empty(most, np.int64), np.empty((most, 3)),
-        np.empty((most, 2, n_tap), np.complex128), np.empty((most, n_param)), np.empty((most, 3)),
-        np.empty((most, d, n)), np.empty((most, 3, 3)), np.empty((n, n)), np.empty((n, n)),
-        np.empty((2, 3)), np.empty((n + 1, n)), np.zeros(n), np.empty(n), np.empty((n, n)),
-        np.empty(m), np.empty((m, n)), np.empty((most, 3, 3)), np.empty(n), np.empty((n, n)),
+    block = np.zeros(most * (15 + n_param + d * n) + (4 * n + 3) * n + 6)
+    span, params, z, A, R, phi, q, force, work, zero, m0, P0 = _parts(block, most, n_param, n, d)
+    return block, Room(
+        np.empty(most, np.int64), np.empty(most, np.int64), span,
+        np.empty((most, 2, n_tap), np.complex128), params, z, A, R, phi, q, force, work, zero, m0,
+        P0, np.empty(m), np.empty((m, n)), np.empty((most, 3, 3)), np.empty(n), np.empty((n, n)),
         np.empty((m, m)),
     )  # fmt: skip
+
+
+Part = tuple[Room, tuple[Any, ...], tuple[np.ndarray, ...], tuple[np.ndarray, np.ndarray]]
+"""Room of some bits, arguments of the update, of `after_update`; channel and z"""
 
 
 class AtOnce:
@@ -84,8 +88,9 @@ class AtOnce:
     ----------
     rule, fading : how moments are taken; the fading factor's memory, prepared, None for none.
     layout : of the error state.
-    facts, memory, numbers : what is known of the channels, what changes, plain numbers: tuples that
-        the kernels below take apart.
+    facts, memory, lock, numbers : what is known of the channels, what changes, what says whether
+        they are locked, plain numbers: as the kernels below take them apart.
+        To hand over an array costs 60 ns, hence few of them.
     """
 
     def __init__(
@@ -95,22 +100,23 @@ class AtOnce:
         layout: Layout,
         facts: tuple[np.ndarray, ...],
         memory: tuple[np.ndarray, ...],
-        numbers: tuple[float, ...],
+        lock: tuple[np.ndarray, ...],
+        numbers: np.ndarray,
     ) -> None:
         self.rule, self.fading, self.layout = rule, fading, layout
-        self.facts, self.memory, self.numbers = facts, memory, numbers
+        self.facts, self.memory, self.lock, self.numbers = facts, memory, lock, numbers
         self.d = 3 if layout.n_phase else 2
         self.table = rule.table(self.d)
-        self.lock = memory[3], *memory[7:]
-        self.few = numbers[1], numbers[2], numbers[8]
         if fading is None:
             self.watched = (np.zeros(0), np.zeros((0, 0)), np.zeros(0, np.bool_), 0.0, 0.0, 0)
         else:
             o = fading.options
             row = min(o.information_row, 2)
             self.watched = (fading.inflated, fading.V0, fading.seen, o.rho, o.gate, row)
-        self.rooms: dict[int, tuple[Room, tuple[Any, ...], tuple[np.ndarray, ...]]] = {}
+        self.rooms: dict[int, Part] = {}
         self.most, self.n_bit = 0, 0
+        self.seen: tuple[np.ndarray, np.ndarray]
+        """Channel and z of the bits"""
 
     def __call__(
         self,
@@ -137,7 +143,7 @@ class AtOnce:
             return BIT_MISSING, missing, math.nan, math.nan, math.nan
         if n_bit == 0:
             return TO_FILTER, 0, math.nan, math.nan, math.nan
-        _, update, after = self.rooms.get(n_bit) or self._part(n_bit)
+        _, update, after, self.seen = self.rooms.get(n_bit) or self._part(n_bit)
         nis = condition_taps(*update)
         if nis != nis:  # S is not positive definite
             return TO_FILTER, 0, nis, math.nan, math.nan
@@ -146,7 +152,7 @@ class AtOnce:
             self.fading.elapsed_s += T
             may_open = self.fading.elapsed_s > self.fading.options.start_s
         outcome, row, in_phase, square = after_update(
-            after, self.lock, self.watched, self.few, cov, sky, no_phase, t_s, may_open
+            after, self.lock, self.watched, self.numbers, cov, sky, no_phase, t_s, may_open
         )
         return outcome, row, nis, in_phase, square
 
@@ -154,12 +160,12 @@ class AtOnce:
         """Room for so many bits."""
         self.most = most
         n, n_param = self.layout.n, self.facts[CODES].shape[1]
-        self.whole = new_room(most, n_tap, n_param, n, self.d)
-        self._whole = tuple(self.whole[: Room._fields.index("nu")])
+        block, self.whole = new_room(most, n_tap, n_param, n, self.d)
+        self._whole = (self.whole.channel, self.whole.number, self.whole.iq, block)
         self.rooms.clear()
 
-    def _part(self, nb: int) -> tuple[Room, tuple[Any, ...], tuple[np.ndarray, ...]]:
-        """The room of nb bits, arguments of the update, and those of `after_update`."""
+    def _part(self, nb: int) -> Part:
+        """The part of the room that nb bits take."""
         r, m = self.whole, 3 * nb
         part = r._replace(
             **{name: getattr(r, name)[:nb] for name in BY_BIT}, nu=r.nu[:m], H=r.H[:m],
@@ -171,12 +177,12 @@ class AtOnce:
             part.H, part.noise, r.m1, r.P1,
         )  # fmt: skip
         after = (part.channel, part.z, r.q, r.P0, part.nu, part.H, part.noise, r.m1, r.P1, part.V)
-        self.rooms[nb] = part, update, after
+        self.rooms[nb] = part, update, after, (part.channel, part.z)
         return self.rooms[nb]
 
     def room(self) -> Room:
         """A copy of what the epoch has left behind."""
-        part, _, _ = self.rooms.get(self.n_bit) or self._part(self.n_bit)
+        part = (self.rooms.get(self.n_bit) or self._part(self.n_bit))[0]
         return Room(*(x.copy() for x in part))
 
     @staticmethod
@@ -202,6 +208,37 @@ class AtOnce:
 # ---- kernels ---------------------------------------------------------------------------------
 
 
+def _parts(block: np.ndarray, most: int, n_param: int, n: int, d: int) -> tuple[np.ndarray, ...]:
+    """Span, params, z, A, R, phi, q, force, work, zero, m0, P0 of a room."""
+    a = 3 * most
+    b = a + n_param * most
+    c = b + 3 * most
+    e = c + d * n * most
+    f = e + 9 * most
+    g = f + n * n
+    h = g + n * n
+    i = h + 6
+    j = i + (n + 1) * n
+    return (
+        block[:a].reshape((most, 3)),
+        block[a:b].reshape((most, n_param)),
+        block[b:c].reshape((most, 3)),
+        block[c:e].reshape((most, d, n)),
+        block[e:f].reshape((most, 3, 3)),
+        block[f:g].reshape((n, n)),
+        block[g:h].reshape((n, n)),
+        block[h:i].reshape((2, 3)),
+        block[i:j].reshape((n + 1, n)),
+        block[j : j + n],
+        block[j + n : j + 2 * n],
+        block[j + 2 * n : j + 2 * n + n * n].reshape((n, n)),
+    )
+
+
+parts = kernel(_parts, inline="always")
+"""`_parts` for compiled steps"""
+
+
 @kernel
 def before_update(
     taps: Any,
@@ -215,13 +252,19 @@ def before_update(
 ) -> tuple[int, int]:
     """The number of bits, and the one whose data is missing, -1 for none.
 
-    taps: first six of `Taps`; room: a `Room` without what the update fills.
+    taps: first six of `Taps`; room: channel, number, iq and the block of a `Room`.
     """
-    (dump_chips, symbol_chips, overlay, overlay_length, overlay_start, pilot, codes, data_bits,
-     density) = facts  # fmt: skip
-    wait_number, wait_t, wait_iq, buffer, amplitude2, prompt, u_before, _, _ = memory
-    n_scale, n_phase, phase_start, spacing, clock_sf, first_bit, lag_s, epoch_s, _ = numbers
-    channel, number, span, iq, params, z, A, R, phi, q, force, work, zero, m0, P0 = room
+    whole_facts, overlay, pilot, codes, data_bits, density = facts
+    dump_chips, symbol_chips, overlay_length, overlay_start = (
+        whole_facts[0], whole_facts[1], whole_facts[2], whole_facts[3],
+    )  # fmt: skip
+    wait_number, wait_t, wait_iq, buffer, amplitude2, prompt, u_before = memory
+    n_scale, n_phase, phase_start = int(numbers[0]), int(numbers[1]), int(numbers[2])
+    spacing, clock_sf, lag_s, epoch_s = numbers[3], numbers[4], numbers[5], numbers[6]
+    channel, number, iq, block = room
+    span, params, z, A, R, phi, q, force, work, zero, m0, P0 = parts(
+        block, channel.size, codes.shape[1], cov.shape[0], 3 if n_phase else 2
+    )
     tap_channel, tap_number, t_start, t_end, tap_iq, noise_var = taps
     nb = pair_into(
         dump_chips, symbol_chips, overlay, overlay_length, overlay_start, tap_channel, tap_number,
@@ -230,8 +273,8 @@ def before_update(
     )  # fmt: skip
     missing = measure_into(
         channel[:nb], number[:nb], span[:nb], iq[:nb], buffer, t_s, phase_start, codes, pilot,
-        spacing, clock_sf, amplitude2, prompt, data_bits, first_bit, lag_s, epoch_s, params[:nb],
-        z[:nb], A[:nb], R[:nb],
+        spacing, clock_sf, amplitude2, prompt, data_bits, int(numbers[7]), lag_s, epoch_s,
+        params[:nb], z[:nb], A[:nb], R[:nb],
     )  # fmt: skip
     transition_of(
         buffer, epoch_s, u_before, n_scale, n_phase, lag_s, density, is_first, work, phi, q, force
@@ -259,7 +302,7 @@ def after_update(
     channel, z, q, P0, nu, H, noise, m1, P1, V = room
     buffer, indicator, locked = memory
     inflated, V0, seen, rho, gate, row = watched
-    n_phase, phase_start, gain = numbers
+    n_phase, phase_start, gain = int(numbers[1]), int(numbers[2]), numbers[8]
     square = math.nan
     if inflated.size > 0:
         is_open = watch_innovations(

@@ -148,7 +148,7 @@ class UltraTight:
         )
         if outcome == FINE:
             self.told = nis, 3.0 * one.n_bit, 1.0
-            channel, z = one.rooms[one.n_bit][2][:2]
+            channel, z = one.seen
             self.events += self.lock.heard(self.t_s, channel, z, row, in_phase)
             self._choose_model(square)
             self.epoch += 1
@@ -172,13 +172,15 @@ class UltraTight:
             fading.prepare(self.cov, layout, 3 * self.n_channel)
         return AtOnce(
             rule, fading, layout,
-            (facts.dump_chips, facts.symbol_chips, facts.overlay, facts.overlay_length,
-             facts.overlay_start, facts.pilot, self.codes,
+            (np.array([facts.dump_chips, facts.symbol_chips, facts.overlay_length,
+                       facts.overlay_start]), facts.overlay, facts.pilot, self.codes,
              NO_BITS if k.data_bits is None else k.data_bits, self._densities),
             (waiting.number, waiting.t_s, waiting.iq, self.steering.buffer, *self.amplitudes,
-             self.u_before, lock.indicator, lock.locked),
-            (layout.n_scale, layout.n_phase, layout.phase.start, self.spacing_chips,
-             self.noise.clock_sf, k.first_bit, self.clock_lag_s, self.settings.epoch_s, lock.gain),
+             self.u_before),
+            (self.steering.buffer, lock.indicator, lock.locked),
+            np.array([layout.n_scale, layout.n_phase, layout.phase.start, self.spacing_chips,
+                      self.noise.clock_sf, self.clock_lag_s, self.settings.epoch_s, k.first_bit,
+                      lock.gain]),
         )  # fmt: skip
 
     def _step_by_filter(
