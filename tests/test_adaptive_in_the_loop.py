@@ -1,0 +1,109 @@
+"""The study of adaptive filters in the loop: its disturbances can be flown, its claims follow."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import ultratight
+from ultratight.filters.catalog import CATALOG
+from ultratight.world import World
+
+STUDIES = Path(__file__).parents[1] / "studies"
+N_RUN = 20
+
+
+@pytest.fixture
+def study(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
+    """The script and the ledger; their folder is on no path but theirs."""
+    monkeypatch.syspath_prepend(STUDIES)
+    import adaptive_in_the_loop
+    from common import ledger
+
+    return SimpleNamespace(script=adaptive_in_the_loop, ledger=ledger)
+
+
+def made_up(script, errors: dict[tuple[str, str], float], model: str = "C") -> dict:
+    """Flights whose errors are 1 where nothing else is said, infinite ones not converged."""
+    labels, flown = script.FLOWN[model], {}
+    for which in script.SAID:
+        level = np.array([errors.get((which, label), 1.0) for label in labels])
+        merit = level[:, None] * np.linspace(0.9, 1.1, N_RUN)
+        flown[which] = xr.Dataset(
+            {
+                "merit": (("filter", "run"), merit),
+                "quiet": (("filter", "run"), np.ones_like(merit)),
+                "converged": (("filter", "run"), np.isfinite(merit)),
+            },
+            {"filter": list(labels), "run": np.arange(N_RUN), "seed": ("run", np.arange(N_RUN))},
+        )
+    return flown
+
+
+def test_every_row_and_every_disturbance_can_be_flown(study) -> None:
+    """Each campaign's scenarios are valid, and the satellites that they name are in view."""
+    script = study.script
+    assert set(script.ROWS.values()) <= set(CATALOG)
+    assert set(script.STEPS) | set(script.JUMPS) == set(script.SAID)
+    for campaign in script.CAMPAIGNS.values():
+        base = ultratight.load(campaign.scenario)
+        for name, change in campaign.over["disturbance"].items():
+            world = World(base.replace(change), 1)
+            hit = [d.affected.sum() for d in world.disturbances]
+            assert hit == {"power all": [10], "power half": [5]}.get(
+                name, [1] if name in script.STEPS else []
+            )
+
+
+def test_claims_follow_from_the_runs(study) -> None:
+    """A family helps if every row's error is below the QKF's; one that diverges is no help."""
+    script = study.script
+    better = {("fault step", label): 0.1 for label in script.FAMILIES["weights"]}
+    verdict = {
+        c.id: study.ledger.verdict(c.row()) for c in script.asked("C", made_up(script, better))
+    }
+    assert verdict["adaptive-C-fault-step-weights"] == "met"
+    assert verdict["adaptive-C-fault-step-R"] == "not met"  # as good as the QKF is no help
+    assert verdict["adaptive-C-fault-step-Q"] == "met"  # but no harm
+    worse = better | {("fault step", "ACEKF"): np.inf}
+    claims = {c.id: c.row() for c in script.asked("C", made_up(script, worse))}
+    assert study.ledger.verdict(claims["adaptive-C-fault-step-weights"]) == "not met"
+    assert all(row["why"] and row["target"] for row in claims.values())
+    few = list(script.asked("D", {k: made_up(script, {}, "D")[k] for k in ("jump", "fault step")}))
+    assert len(few) == sum(q[0] in ("jump", "fault step") for q in script.QUESTIONS)
+
+
+def test_one_for_all_is_the_least_bad_row(study) -> None:
+    script = study.script
+    errors = {(w, label): 3.0 for w in script.SAID for label in script.FLOWN["C"] if label != "QKF"}
+    errors |= {(w, "IMM2"): 1.1 for w in script.SAID} | {("jump", "IMM2"): 0.3}
+    claim = script.serves("C", made_up(script, errors))
+    assert "IMM2" in claim.ours[0].name
+    assert study.ledger.verdict(claim.row()) == "not met"  # 1.1 in the fault is not half
+    errors |= {("fault step", "IMM2"): 0.3}
+    assert study.ledger.verdict(script.serves("C", made_up(script, errors)).row()) == "met"
+
+
+def test_two_that_diverged_are_equal(study) -> None:
+    ds = made_up(study.script, {("jump", "QKF"): np.inf, ("jump", "KF"): np.inf})["jump"]
+    assert np.array_equal(study.script.ratio(ds, "KF"), np.ones(N_RUN))
+    assert np.array_equal(study.script.ratio(ds, "IMM2"), np.zeros(N_RUN))
+    assert np.array_equal(study.script.difference(ds, "KF"), np.zeros(N_RUN))
+
+
+def test_error_while_a_disturbance_lasts(study) -> None:
+    """Root mean square of t over (8, 18] in steps of 0.1 s, by the sum of squares."""
+    t = np.round(np.arange(1, 241) * 0.1, 9)
+    error = np.stack([t, np.where(t < 9.0, t, np.nan)])
+    ds = xr.Dataset(
+        {"error": (("run", "t_s"), np.ones_like(error)), "position_error": (("run", "t_s"), error)},
+        {"t_s": t},
+    )
+    found = study.script.with_merit(ds, "fault step")
+    k = np.arange(81, 181)
+    assert found["merit"].values == pytest.approx([0.1 * np.sqrt(np.mean(k**2)), np.inf])
+    assert found["quiet"].values == pytest.approx([1.0, 1.0])
