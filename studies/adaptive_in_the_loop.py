@@ -221,6 +221,10 @@ def difference(ds: xr.Dataset, label: str) -> np.ndarray:
         return np.where(np.isinf(mine) & np.isinf(base), 0.0, mine - base)
 
 
+def _short(value: float) -> str:
+    return f"{value:.0f}" if value >= 10.0 else f"{value:.2g}"
+
+
 def _n(value: float | None) -> str:
     return "inf" if value is None else f"{value:.3g}"
 
@@ -235,7 +239,7 @@ def draw_map(study: Study, model: str, flown: Flown) -> None:
             q = typical("", ratio(ds, label), "")
             values[i, j] = np.inf if q.value is None else q.value
             sure = (q.high is not None and q.high < 1.0) or q.low is None or q.low > 1.0
-            size = "∞" if q.value is None else f"{q.value:.2g}"
+            size = "∞" if q.value is None else _short(q.value)
             hits = int(ds["converged"].sel(filter=label).sum())
             notes[i, j] = f"{size}{'' if sure else ' ='}   {hits}/{ds.sizes['run']}"
     columns = []
@@ -279,6 +283,8 @@ def draw_time(study: Study, flown: dict[str, Flown]) -> None:
         for ax, which, series in ((axes[1 + k, 0], power, "error"),
                                   (axes[1 + k, 1], fault, "position_error")):  # fmt: skip
             for colour, label in zip(COLOURS, (QKF, *SHOWN), strict=False):
+                if label not in FLOWN[model]:
+                    continue
                 band(ax, flown[model][which][series].sel(filter=label), label, colour)
             ax.set_yscale("log")
             of = "velocity error [m/s]" if which == power else "position error [m]"
@@ -286,8 +292,10 @@ def draw_time(study: Study, flown: dict[str, Flown]) -> None:
             ax.axvspan(BEGIN_S, STEPS[which].until_s, color="0.85", zorder=0)
     _dress(axes)
     runs = flown["C"][power].sizes["run"]
-    axes[0, 0].set(title="all satellites 15 dB weaker for 5 s", ylabel="C/N0 [dB-Hz]")
-    axes[0, 1].set(title="clock of one satellite 100 m off for 10 s", ylabel="fault [m]")
+    axes[0, 0].set_title("all satellites 15 dB weaker for 5 s", fontsize=SMALL + 1.0)
+    axes[0, 1].set_title("clock of one satellite 100 m off for 10 s", fontsize=SMALL + 1.0)
+    axes[0, 0].set_ylabel("C/N0 [dB-Hz]", fontsize=SMALL)
+    axes[0, 1].set_ylabel("fault [m]", fontsize=SMALL)
     page.suptitle(f"Uniform motion, 35 dB-Hz, ten satellites: median and 10-90 % of {runs} runs",
                   fontsize=SMALL + 1.0)  # fmt: skip
     study.figure("adaptive_time", page)
@@ -367,8 +375,8 @@ JUMP_R = (
     "the gain falls, and velocity runs off"
 )
 POWER = (
-    "the receiver's own estimate of the amplitude already scales R: it follows in a second, and an "
-    "estimate from innovations is later and noisier"
+    "weaker signals leave the noise of the taps as it is: what is wrong until the amplitude has "
+    "followed is the slope, which no R describes"
 )
 FAULT = "the fault is one channel's alone, and there R or the weight may follow without harm"
 WHY = {
@@ -381,7 +389,8 @@ WHY = {
     ("no cause", "weights"): "as for R",
     ("power all", "R"): POWER,
     ("power all", "weights"): POWER,
-    ("power all", "Q"): "a lost amplitude is a large innovation, and is taken for motion",
+    ("power all", "Q"): "an amplitude that is lost, or returns, is a large innovation, taken for "
+    "motion",
     ("power all", "R and Q"): "Q^ is wide at all times: the error is larger before, too",
     ("power half", "R"): POWER,
     ("fault step", "R"): FAULT,

@@ -177,7 +177,8 @@ CATALOG: dict[str, Recipe] = {
                             noise=Ishakf(adaptive=False, robust=False)),
     "kf-residual-forgetting": Recipe(
         f"{_EKF} of R estimated from residuals, with adaptive forgetting", DUAN, "linearised",
-        noise=Ishakf(robust=False),
+        # R is held at one outlier only: without the reduced gain more of them break the loop
+        noise=Ishakf(robust=False, max_reject=1),
     ),
     "kf-robust-gain": Recipe(f"{_EKF} whose gain gives way to outliers, per channel", DUAN,
                              "linearised", noise=Ishakf(R=False, adaptive=False)),
