@@ -54,7 +54,7 @@ MORE = ("IMM3", "improved 2", "residual R", "forgetting", "robust gain", "REKF",
 """Flown after the others, in model C alone"""
 FLOWN = {
     "C": tuple(label for label in ROWS if label != TWIN),
-    "D": (QKF, "Sage-Husa", "Sage-Husa R", "ACEKF", "MMAE"),
+    "D": (QKF, "MMAE", "Sage-Husa", "Sage-Husa R", "ACEKF"),
 }
 RUNS, SEED = 20, 701
 
@@ -250,7 +250,7 @@ def draw_map(study: Study, model: str, flown: Flown) -> None:
         q = typical("", ds["merit"].values, "")
         columns.append(f"{SAID[which]}\nQKF {_n(q.value)} {unit(which)}\n"
                        f"{int(ds['converged'].sum())}/{ds.sizes['run']}")  # fmt: skip
-    page = Figure(figsize=(8.6, 6.6), layout="constrained")
+    page = Figure(figsize=(2.6 + 1.5 * len(flown), 1.5 + 0.27 * len(labels)), layout="constrained")
     ax = page.subplots()
     heat_map(ax, values, notes, labels, columns, (0.03, 30.0))
     sizes = [sum(label in labels for label in family) for family in FAMILIES.values()]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -106,3 +108,41 @@ def test_error_while_a_disturbance_lasts(study) -> None:
     k = np.arange(71, 171)
     assert found["merit"].values == pytest.approx([0.1 * np.sqrt(np.mean(k**2)), np.inf])
     assert found["quiet"].values == pytest.approx([1.0, 1.0])
+
+
+def test_quick_claims_and_figures_are_produced(study, monkeypatch, tmp_path: Path) -> None:
+    """The whole script on made-up flights: every question has its claim, judged and written."""
+    script = study.script
+
+    def fly(self, *names: str) -> xr.Dataset:
+        parts = [flight(self.campaigns[name]) for name in names]
+        return xr.concat(parts, "filter") if parts[1:] else parts[0]
+
+    monkeypatch.setattr(script.Study, "fly", fly)
+    out = tmp_path / "adaptive_in_the_loop"
+    monkeypatch.setattr(sys, "argv", ["adaptive_in_the_loop", "--quick", "--out", str(out)])
+    script.main()
+    rows = json.loads((tmp_path / "ledger.json").read_text())
+    asked = sum(q[0] in script.FACED[m] for q in script.QUESTIONS for m in script.MODELS)
+    assert len(rows) == len({row["id"] for row in rows}) == asked + 2 * 3 + 1
+    assert {row["verdict"] for row in rows} <= {"met", "not met"}
+    assert all(row["quick"] and row["study"] == "adaptive_in_the_loop" for row in rows)
+    assert {path.name for path in out.glob("*.png")} == {
+        "adaptive_C.png", "adaptive_D.png", "adaptive_time.png"
+    }  # fmt: skip
+    said = (out / "report.txt").read_text()
+    assert all(label in said for label in script.FLOWN["C"])
+
+
+def flight(campaign) -> xr.Dataset:
+    """As `Study.fly` gives a campaign's flights: errors of a tenth, those of the QKF of one."""
+    axes = {dim: list(labels) for dim, labels in campaign.over.items()}
+    size = [len(labels) for labels in axes.values()] + [campaign.runs]
+    dims = (*axes, "run")
+    t = np.arange(1, 331) * 0.1
+    level = np.array([1.0 if x == "QKF" else 0.1 for x in axes["filter"]])
+    level = level.reshape([-1 if d == "filter" else 1 for d in dims])
+    series = np.broadcast_to((level * np.ones(size))[..., None], (*size, t.size))
+    coordinates = axes | {"run": np.arange(campaign.runs), "t_s": t}
+    kept = dict.fromkeys(("error", "position_error", "cn0"), ((*dims, "t_s"), series))
+    return xr.Dataset(kept | {"converged": (dims, np.ones(size, bool))}, coordinates)

@@ -97,3 +97,20 @@ def test_taps_of_both_correlators_are_off_by_the_same() -> None:
     for early, prompt, late in (a, b):
         assert late > prompt > early  # the signal comes later than the replica expects
         assert prompt / (2.0 * 10**4.5 * 0.01) == pytest.approx((1 - 0.341) ** 2, rel=0.06)
+
+
+def test_forgetting_without_a_robust_gain_survives_a_fault() -> None:
+    """R held at every outlier, whose gain is not reduced, loses all ten channels by one's fault.
+
+    Held at the first alone, R of that channel opens, and the position is better than the KF's.
+    """
+    fault = {"t0_s": 5.0, "t1_s": 10.0, "prns": [6], "pseudorange_m": 100.0}
+    keys = {"duration_s": 10.0, "channel.disturbance": [fault]}
+    runs = [
+        run(load("uniform", keys | {"receiver.filter": name}), 1)
+        for name in ("kf", "kf-residual-forgetting")
+    ]
+    lost = [sum(t is not None for t in r.summary["lost_lock_s"].values()) for r in runs]
+    kf, forgetting = (r.summary["position_rms_end_m"] for r in runs)
+    assert lost == [1, 1]
+    assert forgetting < 0.5 * kf
