@@ -66,6 +66,10 @@ def _runs() -> list[Case]:
             "closed form, 50 s, fiqkf-r, differential", lambda: ultratight.run(model, 1),
             1.0, "s", 1.0, 0.15, cost=True,
         ),
+        Case(
+            "the same as a sweep flies it", lambda: ultratight.run(model, 1, whole=False),
+            1.0, "s", 1.0, 0.15, cost=True,
+        ),
         Case("closed form, 50 s, fiqkf-r, coherent", lambda: ultratight.run(coherent, 1),
              1.0, "s", 1.0, cost=True),
         Case("set-up of the world and summary alone", lambda: _set_up(model), 1.0, "s", 1.0,
