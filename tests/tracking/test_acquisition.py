@@ -22,6 +22,7 @@ from signals.signal_row import Signal
 from ultratight.statistics import wilson
 from ultratight.tracking import acquisition, code_search
 from ultratight.tracking.acquisition import Search, acquire, threshold
+from ultratight.tracking.excision import HALF
 
 SKY = {3: (-3210.0, 812.25, 46.0), 11: (47.0, 100.5, 43.0), 22: (4890.0, 511.9, 40.0)}
 """PRN: Doppler [Hz], code phase at sample 0 [chips], C/N0 [dB-Hz]"""
@@ -58,6 +59,12 @@ def sampled(
 def noise(rate_hz: float, n: int, seed: int) -> np.ndarray:
     """White noise (n, 2) float32."""
     return np.random.default_rng(seed).standard_normal((n, 2)).astype(np.float32)
+
+
+def wave(turn: float, n: int) -> np.ndarray:
+    """A continuous wave (n, 2) float32 of amplitude 1, ``turn`` cycles a sample."""
+    turns = 2.0 * np.pi * turn * np.arange(n)
+    return np.stack([np.cos(turns), np.sin(turns)], axis=1).astype(np.float32)
 
 
 def chips_apart(a: float, b: float, length: int = 1023) -> float:
@@ -175,7 +182,9 @@ def test_energies_are_their_definition() -> None:
     g = search.grid(recording, GPS_L1CA, 0)
     ((prns, energy),) = code_search.energies(recording, g, [5, 17])
     assert energy.shape == (2, 5, 1024)
-    centred = pairs.astype(float) - pairs.reshape(2, -1, 2).mean(axis=1).repeat(n, axis=0)
+    # each block about the mean of itself and what the excision takes beside it
+    means = [pairs[: n + HALF].mean(axis=0), pairs[n - HALF :].mean(axis=0)]
+    centred = pairs.astype(float) - np.repeat(means, n, axis=0)
     x = centred[:, 0] + 1j * centred[:, 1]
     for i, d, k in ((0, 0, 0), (1, 3, 500), (1, 4, 1023)):
         expected = energy_by_definition(x, g, prns[i], d, k)
@@ -216,9 +225,12 @@ def false_alarms(recording: Recording, search: Search, blocks: int, prns: range)
     return sum(found), len(found)
 
 
-@pytest.mark.parametrize("kind", ["white", "coloured"])
+@pytest.mark.parametrize("kind", ["white", "coloured", "continuous wave"])
 def test_false_alarms_are_as_rare_as_stated(kind: str) -> None:
-    """In noise of any colour.  Cells are not independent, which leaves 0.75 to 1 of the rate."""
+    """In noise of any colour, and beside a wave 23 dB above all of it.
+
+    Cells are not independent, which leaves 0.75 to 1 of the rate.
+    """
     rate_hz, n_block = 2.5e6, 2
     pairs = noise(rate_hz, n_block * 25_000, 5)
     if kind == "coloured":  # 12 dB over the band
@@ -226,11 +238,13 @@ def test_false_alarms_are_as_rare_as_stated(kind: str) -> None:
         from scipy.signal import lfilter
 
         pairs = np.ascontiguousarray(lfilter([1.0], [1.0, -0.6], z).T, np.float32)
+    if kind == "continuous wave":
+        pairs += 20.0 * wave(317_123.0 / rate_hz, len(pairs))
     recording = Recording(pairs, rate_hz, 0.0)
     k, n = false_alarms(recording, Search(false_alarm=0.1), n_block, range(1, 211))
     rate = wilson(k, n, 0.9999)
     assert rate.low < 0.1
-    assert rate.high > 0.075
+    assert rate.high > 0.06
 
 
 def test_a_strong_satellite_is_found_once() -> None:
@@ -247,6 +261,18 @@ def test_a_strong_satellite_is_found_once() -> None:
     g = Search().grid(recording, GPS_L1CA, 0)
     naive = acquisition._peaks(recording, g, range(1, 33))
     assert sum(p.peak > rows[0].threshold for p in naive) > 25
+
+
+def test_satellites_beside_a_continuous_wave_are_found() -> None:
+    """Twice the noise of all 4 MHz in one line, 40 dB above a satellite: its bins are blanked."""
+    clean = sampled(SKY, 4e6, 0.03, sample_format="float32")
+    pairs = clean.samples(0, 120_000) + 2.0 * wave(0.0871, 120_000)
+    rows = acquire(Recording(pairs, 4e6, 0.0))
+    assert [row.prn for row in rows if row.found] == list(SKY)
+    before = {row.prn: row.peak for row in acquire(clean)}
+    for row in rows:
+        if row.found:
+            assert row.peak == pytest.approx(before[row.prn], rel=0.2)
 
 
 # -- other signals -------------------------------------------------------------------------------

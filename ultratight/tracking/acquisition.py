@@ -7,8 +7,8 @@ with a probability of at most n Q(B, B u) (Kaplan & Hegarty, 3rd ed., 8.5.2; Q i
 upper incomplete gamma function).  Neighbouring cells are correlated, which leaves 0.75 to 1 of the
 stated rate in white noise.
 
-The level is taken from each Doppler row and from all of them, the larger counts: narrow-band
-interference lifts the rows beside it (where it is far above the noise it is not taken away).
+The level is taken from each Doppler row and from all of them, the larger counts; lines of
+narrow-band interference are blanked before (`excision`).
 Total power would not do: on real recordings noise is coloured, and every code receives up to 1/129
 of a strong satellite's power (C/A at any Doppler, -21.1 dB: Kaplan & Hegarty, 3rd ed., 4.3).  What
 is too strong for that is found at once; what else is above the threshold has to be so again in

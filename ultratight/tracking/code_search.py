@@ -34,6 +34,7 @@ import numpy as np
 from signals.compiled import FAST_SUM, borrowing
 from signals.recording import IfSource
 from signals.signal_row import Signal
+from ultratight.tracking.excision import HALF, excised
 
 _ROOM = 1 << 24
 """Cells of the energies held at a time"""
@@ -180,8 +181,8 @@ def energies(
 ) -> Iterator[tuple[Sequence[int], np.ndarray]]:
     """Some PRNs at a time and their S of (3), (n_prn, n_doppler, n_delay) float32.
 
-    The scale is arbitrary, the same for all.  Samples are taken about their mean.  The array is
-    used again for the next PRNs.
+    The scale is arbitrary, the same for all.  Samples are taken about their mean, and without lines
+    (`excision`).  The array is used again for the next PRNs.
 
     Raises
     ------
@@ -211,14 +212,17 @@ def _spectrum(source: IfSource, g: Grid, b: int) -> tuple[np.ndarray, bool]:
     from scipy.fft import fft
 
     n = g.block_at(b)
-    pairs = source.samples(n, n + g.n_sample).astype(np.float32)
+    # beyond the block too, where there is more: there the excision fades out
+    first = max(n - HALF, int(getattr(source, "first_sample", n)))
+    end = min(n + g.n_sample + HALF, int(getattr(source, "end_sample", n + g.n_sample)))
+    pairs = source.samples(first, end).astype(np.float32)
     mean = pairs.mean(axis=0)
     if not np.isfinite(mean).all():
         bad = int(np.argmin(np.isfinite(pairs).all(axis=1)))
         name = getattr(source, "name", "the source")
-        raise ValueError(f"{name}: sample {n + bad} is {pairs[bad]}, expected finite values")
+        raise ValueError(f"{name}: sample {first + bad} is {pairs[bad]}, expected finite values")
     real = not pairs[:, 1].any()
-    z = (pairs - mean).view(np.complex64)[:, 0]
+    z = excised((pairs - mean).view(np.complex64)[:, 0])[n - first :][: g.n_sample]
     # a spectrum of real samples costs half
     return fft(z.real if real else z, g.n_fft, workers=1).astype(np.complex64, copy=False), real
 
