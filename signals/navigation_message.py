@@ -7,7 +7,7 @@ steps, which broadcast ephemerides (RINEX files) already are.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -110,10 +110,16 @@ def decode_navigation(
     ValueError
         There is no whole set.
     """
+    return constellation_of({p: find_subframes(x) for p, x in bits.items()}, near_week, source)
+
+
+def constellation_of(
+    received: Mapping[int, Sequence[Subframe]], near_week: int, source: str = "LNAV"
+) -> Constellation:
+    """`decode_navigation` of the whole subframes of each PRN, in the order of their reception."""
     sets: dict[tuple[int, int, int, float], tuple[int, float, np.ndarray, dict[str, int]]] = {}
     iono_utc = IonoUtc()
-    for prn, stream in bits.items():
-        subframes = find_subframes(stream)
+    for prn, subframes in received.items():
         for week, sent, row, facts in _ephemerides(subframes, near_week):
             key = prn, facts["iodc"], week, float(row[s.TOE])
             sets.setdefault(key, (week, sent, row, facts))

@@ -49,6 +49,7 @@ class Tracks(NamedTuple):
     iq: np.ndarray  # (n_row, 3) early, prompt, late; unit noise in each component
     doppler_hz: np.ndarray  # (n_row,) of the replica
     code_phase_chips: np.ndarray  # (n_row,) of the replica at its end; 20 460 chips to a bit
+    carrier_cycles: np.ndarray  # (n_row,) of the replica at its end, above the IF
     locked: np.ndarray  # (n,) bool: phase lock, at the end
     phase_lock: np.ndarray  # (n,) indicator there, cos of twice the phase error
     cn0_dbhz: np.ndarray  # (n,) there, low pass of 1 s
@@ -102,13 +103,14 @@ def track(
         command = Nco(times[k : k + 2], out[0], out[1], out[2], out[3], out[4], dump, valid)
         taps = correlator(command)
         told = taps.channel, taps.number, taps.t_end_s, taps.iq
-        rows.append((*told, out[3, 0, taps.channel], taps.code_end_chips))
+        at_end = taps.code_end_chips, taps.carrier_end_cycles
+        rows.append((*told, out[3, 0, taps.channel], *at_end))
         for t_s, i, code, value in close_loops(*told, taps.noise_var, loops, gains):
             kind, reason = EVENTS[int(code)]
             events.append((float(t_s), int(i), kind, reason.format(value)))
-    channel, period, t_end_s, iq, doppler_hz, code_phase = _by_channel(rows)
+    channel, period, t_end_s, iq, doppler_hz, code_phase, carrier = _by_channel(rows)
     return Tracks(
-        tracked, probability[sure], channel, period, t_end_s, iq, doppler_hz, code_phase,
+        tracked, probability[sure], channel, period, t_end_s, iq, doppler_hz, code_phase, carrier,
         loops.phase == LOCKED, loops.phase_lock, loops.cn0_dbhz, events,
     )  # fmt: skip
 
@@ -140,7 +142,7 @@ def _by_channel(rows: list[tuple[np.ndarray, ...]]) -> list[np.ndarray]:
     if not rows:
         empty = np.empty(0)
         whole = np.empty(0, np.int64)
-        return [whole, whole, empty, np.empty((0, 3), complex), empty, empty]
+        return [whole, whole, empty, np.empty((0, 3), complex), empty, empty, empty]
     columns = [np.concatenate(column) for column in zip(*rows, strict=True)]
     order = np.argsort(columns[0], kind="stable")
     return [column[order] for column in columns]
