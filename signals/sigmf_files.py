@@ -187,6 +187,15 @@ def open_recording(
     )
 
 
+def own_facts(path: str | Path) -> dict[str, Any]:
+    """What a description has in our namespace, without its prefix; none: an empty dictionary."""
+    described = _description_of(Path(path))
+    if described is None:
+        return {}
+    head = json.loads(described.read_text(encoding="utf-8"))["global"]
+    return {k.removeprefix(_OWN): v for k, v in head.items() if k.startswith(_OWN)}
+
+
 def _description_of(path: Path) -> Path | None:
     """The file that describes ``path``, if there is one."""
     partner = {".sigmf-data": ".sigmf-meta", ".bin": ".json"}

@@ -258,6 +258,7 @@ def test_sigmf_by_its_own_library(make: Callable[..., Made]) -> None:
     read = sigmf.sigmffile.fromfile(told["metadata"])
     read.validate()
     assert read.get_global_field("core:sha512") == read.calculate_hash() == told["sha512"]
+    assert read.get_global_field("ultratight:atmosphere") == []
     capture = read.get_captures()[0]
     assert capture["core:frequency"] == GPS_L1_HZ + 1e5
     assert capture["core:datetime"] == "2021-03-19T12:00:12.500000Z"

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ultratight import acquire_commands, if_commands, sweep_commands
+from ultratight import acquire_commands, if_commands, sweep_commands, track_commands
 from ultratight import study as studies
 from ultratight.options import (
     Closure,
@@ -194,7 +194,7 @@ def _version(wanted: bool) -> None:
 app.command()(if_commands.generate)
 app.command()(if_commands.info)
 app.command()(acquire_commands.acquire)
-app.command()(acquire_commands.track)
+app.command()(track_commands.track)
 app.command()(sweep_commands.sweep)
 app.command()(sweep_commands.rerun)
 app.command()(studies.study)

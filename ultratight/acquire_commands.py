@@ -1,4 +1,4 @@
-"""The commands that search a recording for satellites, and track them."""
+"""The command that searches a recording for satellites."""
 
 from __future__ import annotations
 
@@ -18,12 +18,10 @@ if TYPE_CHECKING:
     from signals.recording import Recording
     from signals.signal_row import Signal
     from ultratight.tracking.acquisition import Acquisition, Search
-    from ultratight.tracking.from_samples import Tracks
 
-_FIGURES = (".png", ".pdf", ".svg")
+FIGURES = (".png", ".pdf", ".svg")
 _CLIPPED = 0.01
 """Share of the values at the ends of their type that is worth a word"""
-_SHOWN_BITS = 30
 _INVERTED = (
     "the codes run against the carriers, so that Dopplers have the wrong sign: expected samples in "
     "which a carrier above the IF turns counter-clockwise"
@@ -94,7 +92,7 @@ def acquire(
     from ultratight.tracking import acquisition
 
     if plot:
-        check_writable(plot, _FIGURES)
+        check_writable(plot, FIGURES)
     row = signal(signal_name, galileo_codes)
     search = acquisition.Search(
         doppler_hz=doppler_hz,
@@ -103,103 +101,29 @@ def acquire(
         doppler_step_hz=doppler_step_hz,
         false_alarm=false_alarm,
     )
-    prns = _numbers(prn)
+    prns = numbers_of(prn)
     recording = open_recording(
         file, sample_format=form, sample_rate_hz=rate, if_hz=if_hz,
         swap_iq=swap_iq, conjugate=conjugate,
     )  # fmt: skip
-    first = _skipped(skip, recording)
+    first = first_sample_of(skip, recording)
     rows = acquisition.acquire(recording, row, prns, search, first)
-    warnings = _warnings(recording, row, rows)
+    warnings = warnings_of(recording, row, rows)
     if plot:
         from ultratight import plots_acquisition as plots
 
         best = max(rows, key=lambda row: row.peak).prn
         surface = acquisition.surface(recording, row, best, search, first)
-        _write(plot, plots.figure(rows, surface, best, _title(recording, first)))
+        write_figure(plot, plots.figure(rows, surface, best, title_of(recording, first)))
     if as_json:
         print(json.dumps(_told(recording, rows, row.label, search, warnings)))
         return
-    print("\n".join(_table(rows, recording)))
+    print("\n".join(table_of(rows, recording)))
     if plot:
         print(f"written: {plot}")
 
 
-def track(
-    file: File,
-    duration: Annotated[
-        float | None, typer.Option(metavar="S", help="at most, after --skip; default: all")
-    ] = None,
-    prn: Prns = None,
-    doppler_hz: Doppler = 5000.0,
-    coherent_ms: Coherent = None,
-    noncoherent: Noncoherent = 10,
-    false_alarm: FalseAlarm = 1e-3,
-    skip: Skip = 0.0,
-    bandwidth_hz: Annotated[
-        float, typer.Option("--bandwidth-hz", metavar="HZ", help="of the phase loops")
-    ] = 18.0,
-    integration_ms: Annotated[
-        float, typer.Option("--integration-ms", metavar="MS", help="1, 2, 4, 5, 10 or 20")
-    ] = 5.0,
-    form: Form = None,
-    rate: Rate = None,
-    if_hz: IfHz = None,
-    swap_iq: SwapIq = False,
-    conjugate: Conjugate = False,
-    plot: Plot = None,
-    as_json: Json = False,
-) -> None:
-    """Track the GPS satellites in an IF file.
-
-    Those found are tracked to its end. Every channel finds its own bit edges and has its own phase
-    and code loop. Bits are those whose 20 ms were tracked; each channel's sign is unknown.
-    """
-    from signals.codes import GPS_L1CA
-    from signals.sigmf_files import open_recording
-    from ultratight.results import check_writable
-    from ultratight.tracking import acquisition, from_samples
-
-    if plot:
-        check_writable(plot, _FIGURES)
-    search = acquisition.Search(
-        doppler_hz=doppler_hz,
-        coherent_s=None if coherent_ms is None else coherent_ms * 1e-3,
-        noncoherent=noncoherent,
-        false_alarm=false_alarm,
-    )
-    settings = from_samples.SETTINGS._replace(
-        bandwidth_hz=bandwidth_hz, integration_s=integration_ms * 1e-3
-    )
-    prns = _numbers(prn)
-    recording = open_recording(
-        file, sample_format=form, sample_rate_hz=rate, if_hz=if_hz,
-        swap_iq=swap_iq, conjugate=conjugate,
-    )  # fmt: skip
-    first = _skipped(skip, recording)
-    end = recording.end_sample
-    if duration is not None:
-        if not 0.0 < duration < 1e6:
-            raise ValueError(f"--duration: {duration:g} given, expected more than 0 s")
-        end = min(end, first + round(duration * recording.sample_rate_hz))
-    rows = acquisition.acquire(recording, GPS_L1CA, prns, search, first)
-    warnings = _warnings(recording, GPS_L1CA, rows)
-    found = [row for row in rows if row.found]
-    tracks = from_samples.track(recording, found, end, settings)
-    if plot:
-        from ultratight import plots_acquisition as plots
-
-        _write(plot, plots.tracks(tracks, _title(recording, first)))
-    told = _tracked(recording, tracks, [row.prn for row in found], warnings)
-    if as_json:
-        print(json.dumps(told))
-        return
-    print("\n".join(_table_of_tracks(told)) if found else _table(rows, recording)[-1])
-    if plot:
-        print(f"written: {plot}")
-
-
-def _warnings(recording: Recording, row: Signal, rows: Sequence[Acquisition]) -> list[str]:
+def warnings_of(recording: Recording, row: Signal, rows: Sequence[Acquisition]) -> list[str]:
     """What is odd about the samples, also to stderr."""
     from ultratight.tracking.acquisition import is_inverted
 
@@ -211,64 +135,7 @@ def _warnings(recording: Recording, row: Signal, rows: Sequence[Acquisition]) ->
     return lines
 
 
-def _tracked(
-    recording: Recording, tracks: Tracks, found: list[int], warnings: list[str]
-) -> dict[str, Any]:
-    """What --json prints."""
-    satellites = []
-    for i, prn in enumerate(tracks.prn.tolist()):
-        rows = tracks.channel == i
-        sums, _ = tracks.bits(i)
-        late = tracks.iq[rows, 1][-100:]
-        satellites.append(
-            {
-                "prn": prn,
-                "edge_probability": float(tracks.edge_probability[i]),
-                "doppler_hz": float(tracks.doppler_hz[rows][-100:].mean()),
-                "cn0_dbhz": float(tracks.cn0_dbhz[i]),
-                "phase_lock": float(tracks.phase_lock[i]),
-                "locked": bool(tracks.locked[i]),
-                "prompt_i_rms": float((late.real**2).mean() ** 0.5),
-                "prompt_q_rms": float((late.imag**2).mean() ** 0.5),
-                "bits": "".join("1" if z.real < 0.0 else "0" for z in sums),
-            }
-        )
-    return {
-        "file": recording.name,
-        "end_s": float(tracks.t_s.max(initial=0.0)),
-        "found": found,
-        "not_synchronised": [prn for prn in found if prn not in tracks.prn],
-        "satellites": satellites,
-        "events": [
-            {"t_s": t, "prn": int(tracks.prn[i]), "kind": kind, "reason": reason}
-            for t, i, kind, reason in tracks.events
-        ],
-        "warnings": warnings,
-    }
-
-
-def _table_of_tracks(told: dict[str, Any]) -> list[str]:
-    lines = ["  PRN  Doppler [Hz]  C/N0 [dB-Hz]  I r.m.s.  Q r.m.s.  bits, up to their sign"]
-    for s in told["satellites"]:
-        bits = s["bits"] if len(s["bits"]) <= _SHOWN_BITS else s["bits"][:_SHOWN_BITS] + "..."
-        lines.append(
-            f"{s['prn']:5}  {s['doppler_hz']:12.1f}  {s['cn0_dbhz']:12.1f}  "
-            f"{s['prompt_i_rms']:8.2f}  {s['prompt_q_rms']:8.2f}  {bits}"
-        )
-    lost = ", ".join(str(prn) for prn in told["not_synchronised"])
-    lines.append(
-        f"{len(told['satellites'])} tracked to {told['end_s']:.3f} s; prompts of 1 ms, the last "
-        "0.1 s, in standard deviations of the noise"
-    )
-    if lost:
-        lines.append(f"no sure bit edge, not tracked: {lost}")
-    for e in told["events"]:
-        if e["kind"] == "loss of lock":
-            lines.append(f"{e['t_s']:9.3f} s  PRN {e['prn']}  {e['kind']}  {e['reason']}")
-    return lines
-
-
-def _numbers(lists: Sequence[str] | None) -> list[int] | None:
+def numbers_of(lists: Sequence[str] | None) -> list[int] | None:
     """1-3,7 as 1, 2, 3, 7."""
     if lists is None:
         return None
@@ -284,7 +151,7 @@ def _numbers(lists: Sequence[str] | None) -> list[int] | None:
     return numbers
 
 
-def _skipped(seconds: float, recording: Recording) -> int:
+def first_sample_of(seconds: float, recording: Recording) -> int:
     """Number of the first sample to be used."""
     if not 0.0 <= seconds <= len(recording) / recording.sample_rate_hz:
         raise ValueError(
@@ -345,7 +212,7 @@ def _told(
     }
 
 
-def _table(rows: Sequence[Acquisition], recording: Recording) -> list[str]:
+def table_of(rows: Sequence[Acquisition], recording: Recording) -> list[str]:
     lines = ["  PRN  Doppler [Hz]  code phase [chips]  C/N0 [dB-Hz]  peak / threshold"]
     for row in rows:
         ratio = f"{row.peak / row.threshold:16.2f}"
@@ -366,11 +233,11 @@ def _table(rows: Sequence[Acquisition], recording: Recording) -> list[str]:
     return lines
 
 
-def _title(recording: Recording, first: int) -> str:
+def title_of(recording: Recording, first: int) -> str:
     return f"{Path(recording.name).name}, from sample {first} on"
 
 
-def _write(path: Path, figure: Figure) -> None:
+def write_figure(path: Path, figure: Figure) -> None:
     """Write a figure, whole or not at all."""
     part = path.with_name(f".{path.name}.part")
     try:

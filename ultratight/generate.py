@@ -375,5 +375,6 @@ def _description(p: Plan, sha512: str) -> Description:
             "seed": w.seed,
             "scenario_sha256": w.scenario.digest(),
             "prns": w.prn.tolist(),
+            "atmosphere": [name for name, on in w.scenario.atmosphere if on],
         },
     )
