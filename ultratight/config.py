@@ -191,6 +191,7 @@ def write_toml(
 # -- what keys there are --------------------------------------------------------------------------
 
 _UNITS = {
+    "_mps3_sqrt_hz": "m/s3/sqrt(Hz)", "_m_sqrt_s": "m/sqrt(s)",
     "_mps_sqrt_s": "m/s/sqrt(s)", "_rad_sqrt_s": "rad/sqrt(s)", "_lla_deg_m": "deg, deg, m",
     "_ppb_per_g": "ppb/g", "_deg_h_g": "deg/h/g", "_deg_h": "deg/h", "_deg_s": "deg/s",
     "_mps2": "m/s2", "_mps": "m/s", "_s_db": "s, dB", "_dbhz": "dB-Hz", "_db": "dB",

@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING, Any, Literal
 from signals.constants import CA_CHIP_RATE_HZ
 from ultratight import config
 from ultratight.filters import own
+from ultratight.loop_keys import Found, loop_contradictions
 
 if TYPE_CHECKING:
     from ultratight.scenario import Scenario
 
 Label = Literal["L1CA", "L1CD", "L1CP", "L2CM", "L2CL", "L5I", "L5Q", "E5AI", "E5AQ", "E1B", "E1C"]
 """Signals of the satellites that there are orbits for, see `signals.codes`"""
-Found = list[tuple[tuple[str, ...], str]]
-"""Keys concerned, and the line that says what is wrong"""
 ROW_S = 0.02
 """Scalar closures keep a row this often"""
 NODE_S = 0.005
@@ -90,7 +89,7 @@ def contradictions(s: Scenario) -> Found:
     if s.prns is not None and len(set(s.prns)) < len(s.prns):
         refuse("prns", config.show(s.prns), "each satellite once")
     parts = (
-        _unknown_names, _signal_contradictions, _loop_contradictions, _profile_contradictions,
+        _unknown_names, _signal_contradictions, loop_contradictions, _profile_contradictions,
         _disturbance_contradictions,
     )  # fmt: skip
     return found + [line for part in parts for line in part(s)]
@@ -172,28 +171,6 @@ def _sampling_contradictions(s: Scenario) -> Found:
             f"{most.sub_chip_rate_hz:.10g}"
         )
         found.append(((key, "signals", "correlator.kind"), text))
-    return found
-
-
-def _loop_contradictions(s: Scenario) -> Found:
-    """What the loops of a scalar closure cannot do."""
-    from ultratight.tracking.loop_filters import BANDWIDTH_T_LIMIT
-    from ultratight.tracking.scalar import INTEGRATIONS_MS
-
-    t = s.receiver.integration_s
-    found: Found = []
-    if not any(abs(t - 0.001 * ms) < 1e-9 for ms in INTEGRATIONS_MS):
-        known = ", ".join(f"{0.001 * ms:g}" for ms in INTEGRATIONS_MS)
-        key = "receiver.integration_s"
-        found.append(((key,), f"{key}: {t:g} given, expected one of {known} (parts of a data bit)"))
-    for name in ("bandwidth_hz", "dll_bandwidth_hz"):
-        key, bandwidth = f"receiver.{name}", getattr(s.receiver, name)
-        if bandwidth * t > BANDWIDTH_T_LIMIT + 1e-9:
-            most = (
-                f"{BANDWIDTH_T_LIMIT:g} / integration_s = {BANDWIDTH_T_LIMIT / t:g}, for stability"
-            )
-            text = f"{key}: {bandwidth:g} given, expected at most {most}"
-            found.append(((key, "receiver.integration_s"), text))
     return found
 
 

@@ -18,6 +18,7 @@ from pydantic import Field, ValidationError, ValidationInfo, model_validator
 from ultratight import config, consistency, named_files
 from ultratight.config import InvalidInput, Unsupported
 from ultratight.consistency import SPEED_LIMIT_MPS, Label
+from ultratight.loop_keys import LoopKeys
 from ultratight.tables import Atmosphere, Channel, Dbhz, Imu, NotNegative, Positive, Prn, Table
 
 __all__ = [
@@ -122,7 +123,7 @@ class ProcessNoise(Table):
     clock_model: str | None = None
 
 
-class Receiver(Table):
+class Receiver(LoopKeys):
     """Who closes the loop, with which filter and measurement, and what it knows."""
 
     closure: Literal["ultra-tight", "scalar", "scalar-ins"] = "ultra-tight"
@@ -140,15 +141,6 @@ class Receiver(Table):
     """A coherent receiver starts with differential measurements and changes over at this time"""
     fall_back: bool = True
     """To differential measurements on loss of lock, and back after ``hand_over_s``"""
-    integration_s: Annotated[float, Field(ge=0.001, le=0.02)] = 0.005
-    """Scalar closures: coherent integration once pulled in; 1, 2, 4, 5, 10 or 20 ms"""
-    bandwidth_hz: Annotated[float, Field(gt=0.0, le=100.0)] = 18.0
-    """Scalar closures: noise bandwidth of the PLL"""
-    pll_order: Literal[2, 3] = 3
-    fll_bandwidth_hz: Annotated[float, Field(ge=0.0, le=20.0)] = 2.0
-    """Of the FLL that assists the PLL until it has locked, at 20 ms; 0 for none"""
-    dll_bandwidth_hz: Annotated[float, Field(gt=0.0, le=20.0)] = 1.0
-    dll_order: Literal[1, 2] = 1
     knows: Knows = Knows()
     process_noise: ProcessNoise = ProcessNoise()
 

@@ -180,14 +180,7 @@ def new_closure(scenario: Scenario, knows: Knows, filter: Filter | None = None) 
         return UltraTight(knows, settings, filter, spacing, piece_s)
     if filter is not None:
         raise Unsupported(f"receiver.closure: {r.closure!r} has no filter to replace")
-    scalar = ScalarSettings(
-        integration_s=r.integration_s,
-        bandwidth_hz=r.bandwidth_hz,
-        fll_bandwidth_hz=r.fll_bandwidth_hz,
-        dll_bandwidth_hz=r.dll_bandwidth_hz,
-        pll_order=r.pll_order,
-        dll_order=r.dll_order,
-    )
+    scalar = ScalarSettings(**{name: getattr(r, name) for name in ScalarSettings._fields})
     return Scalar(knows, scalar, spacing, piece_s, aided=r.closure == "scalar-ins")
 
 

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
 
 from signals import clock
 from signals.code_start import symbol_span
@@ -15,7 +16,8 @@ from signals.propagation import SignalState, pseudorange, signal_state
 from ultratight import scenario
 from ultratight.ins.imu import Increments
 from ultratight.simulation import fly, new_closure
-from ultratight.tracking.channel_loops import LOCKED, PULL_IN
+from ultratight.tracking.channel_aiding import Delayed, learn_clock
+from ultratight.tracking.channel_state import ASSISTED, CHIP_M, LOCKED, PULL_IN, WAVELENGTH_M
 from ultratight.tracking.channels import channels
 from ultratight.tracking.loop_filters import phase_loop
 from ultratight.tracking.positioning import least_squares
@@ -59,11 +61,13 @@ def true_phase(nodes, cubic, t):
 
 
 def bench(
-    settings, n, duration_s, level_dbhz, *, spacing=0.25, oscillator="ideal", seed=1, **told
-) -> Bench:
+    settings, n, duration_s, level_dbhz, *,
+    spacing=0.25, oscillator="ideal", seed=1, divergence_mps=0.0, **told,
+) -> Bench:  # fmt: skip
     """n channels, PRN 1 ... n, on the lines of sight of the preset `uniform`.
 
     level_dbhz: C/N0, (n_node,) or a number.  told: changes to the receiver's perfect knowledge.
+    divergence_mps: the code's range grows so much faster than the carrier's.
     """
     world = World(scenario.load("uniform", CALM), seed)
     t = np.arange(round(duration_s / NODE_S) + 1) * NODE_S
@@ -87,10 +91,13 @@ def bench(
     state = parts[0]._replace(
         **{k: np.concatenate([getattr(part, k) for part in parts]) for k in joined}
     )
+    state.code_phase_chips[:, :, 0] -= divergence_mps / CHIP_M * t[: state.t_s.size - 1]
+    state.code_phase_chips[:, :, 1] -= divergence_mps / CHIP_M
     perfect = {
         "prn": prn, "channels": channels([GPS_L1CA] * len(prn), prn, world.scenario.start_tow_s),
         "elements": rows, "cn0_dbhz": state.cn0_dbhz[:, 0], "r_eb_e": r[0],
-        "v_eb_e": v[0], "clock_m": 0.0, "clock_rate_mps": 0.0, "data_bits": None,
+        "v_eb_e": v[0], "clock_m": 0.0, "clock_rate_mps": 0.0,
+        "data_bits": bits, "first_bit": first,
     }  # fmt: skip
     knows = dataclasses.replace(world.knows, **(perfect | told))
     chips = np.stack([GPS_L1CA.chips(int(p)) for p in prn])
@@ -374,6 +381,15 @@ def test_position_and_velocity_of_a_flight():
         ({"fll_bandwidth_hz": np.nan}, "fll_bandwidth_hz is nan"),
         ({"pll_order": 1}, "pll_order is 1"),
         ({"dll_order": 3}, "dll_order is 3"),
+        ({"fll_order": 2, "pll_order": 2}, "fll_order is 2"),
+        ({"loop": "pid"}, "loop is 'pid'"),
+        ({"carrier_loop": "dll"}, "carrier_loop is 'dll'"),
+        ({"carrier_loop": "fll", "fll_bandwidth_hz": 0.0}, "fll_bandwidth_hz is 0.0"),
+        ({"code_discriminator": "early"}, "code_discriminator is 'early'"),
+        ({"carrier_discriminator": "sin"}, "carrier_discriminator is 'sin'"),
+        ({"cn0_estimator": "mm"}, "cn0_estimator is 'mm'"),
+        ({"assisted_integration_s": 0.003}, "assisted_integration_s is 0.003"),
+        ({"aiding_latency_s": -0.1}, "aiding_latency_s is -0.1"),
     ],
 )
 def test_settings_that_mean_nothing(change, message):
@@ -404,3 +420,273 @@ def test_a_bench_starts_in_pull_in():
     b = bench(FAST, 4, 0.1, 40.0)
     assert (b.receiver.loops.phase == PULL_IN).all()
     assert np.isnan(b.receiver.pvt()[0]).all()
+
+
+# -- choices --------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["atan2", "cross"])
+@pytest.mark.parametrize("order", [1, 2])
+def test_jitter_of_the_frequency_loop_alone(kind, order):
+    # halves of a bit, T = 10 ms: 1 / (2 pi T) sqrt(4 Bn / (C/N0) (1 + 1 / (2 T C/N0))) with a new
+    # pair every 2 T; 6 s x 32 channels x 2 Bn = 1920 independent samples, known to 1.6 %
+    bn, t_s, c = 5.0, 0.01, 1e4
+    settings = ScalarSettings(
+        0.005,
+        carrier_loop="fll",
+        fll_bandwidth_hz=bn,
+        fll_order=order,
+        frequency_discriminator=kind,
+    )
+    b = bench(settings, 32, 10.0, 40.0)
+    b.run(3.0)
+    s, errors = b.receiver, []
+    for k in range(3000, 9000):
+        s.step(b.correlator(s.steer((k + 1) * 0.001, NO_IMU)))
+        if k % 20 == 0:
+            piece = round(s.t_s / NODE_S)
+            errors.append(b.state.carrier_phase_cycles[:, piece, 1] - s.loops.loop_hz)
+    theory = np.sqrt(4.0 * bn / c * (1.0 + 1.0 / (2.0 * t_s * c))) / (2.0 * np.pi * t_s)
+    assert loss_reasons(s) == []
+    assert np.std(errors) == pytest.approx(theory, rel=0.05)
+    assert [kind for _, i, kind, _ in s.events if i == 3] == ["frequency lock"]
+
+
+@pytest.mark.slow
+def test_a_pure_loop_knows_whole_cycles():
+    # without squaring loss; a Costas loop would rest half a cycle off in half of the channels
+    b = bench(ScalarSettings(0.02, 10.0, carrier_discriminator="atan2"), 32, 10.0, 35.0)
+    b.run(4.0)
+    s, errors = b.receiver, []
+    for k in range(4000, 9000):
+        s.step(b.correlator(s.steer((k + 1) * 0.001, NO_IMU)))
+        errors.append(
+            true_phase(b.state.t_s, b.state.carrier_phase_cycles, np.array([s.t_s]))[0]
+            - s.loops.carrier_cycles
+        )
+    carrier = (np.array(errors) + 0.5) % 1.0 - 0.5
+    assert loss_reasons(s) == []
+    assert carrier.std() == pytest.approx(np.sqrt(10.0 / 10.0**3.5) / (2.0 * np.pi), rel=0.05)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["coherent", "power", "envelope"])
+def test_code_jitter_of_each_discriminator(kind):
+    # 45 dB-Hz, T = 20 ms: squaring losses are below 0.3 %; 8 s x 32 channels x 4 Hz = 1024: 2.2 %
+    b = bench(
+        ScalarSettings(0.02, 10.0, dll_bandwidth_hz=2.0, code_discriminator=kind), 32, 12.0, 45.0
+    )
+    b.run(3.5)
+    _, code = b.run(11.5)
+    normal = code / delay_jitter_chips(np.arange(1, 33), 2.0, 0.02, 45.0, 0.25)
+    assert normal.std() == pytest.approx(1.0, rel=0.07)
+    assert abs(normal.mean()) < 4.0 / np.sqrt(1024.0)
+
+
+@pytest.mark.parametrize("kind", ["decision-directed", "product"])
+def test_other_phase_discriminators_hold_lock(kind):
+    b = bench(ScalarSettings(0.005, 18.0, carrier_discriminator=kind), 10, 3.0, 42.0)
+    b.run(2.0)
+    carrier, _ = b.run(2.9)
+    assert (b.receiver.loops.phase == LOCKED).all()
+    assert carrier.std() == pytest.approx(thermal_cycles(18.0, 0.005, 42.0), rel=0.15)
+
+
+@pytest.mark.parametrize("estimator", ["m2m4", "snv"])
+def test_the_other_estimators_in_the_loop(estimator):
+    b = bench(ScalarSettings(0.005, 18.0, cn0_estimator=estimator), 16, 6.0, 42.0)
+    b.run(5.9)
+    # phase jitter takes 0.06 dB from SNV; 50 bits: 0.16 dB each, the mean of 16 channels to 0.04
+    assert b.receiver.cn0_dbhz.mean() == pytest.approx(42.0, abs=0.3)
+
+
+def test_divergence_is_seen_and_ends_lock_where_asked():
+    told = {"divergence_mps": 3.0}
+    b = bench(ScalarSettings(0.005, 18.0), 6, 13.0, 45.0, **told)
+    limited = bench(ScalarSettings(0.005, 18.0, code_carrier_limit_mps=1.5), 6, 13.0, 45.0, **told)
+    for each in (b, limited):
+        each.run(12.9)
+    assert loss_reasons(b.receiver) == []
+    # a low pass of 4 s after 12 s has 95 % of it; the DLL's noise of 0.8 m moves it by 0.3 m/s
+    assert np.abs(b.receiver.loops.divergence_mps - 0.95 * 3.0).max() < 1.0
+    assert all("code and carrier diverge" in r for r in loss_reasons(limited.receiver))
+    assert len(loss_reasons(limited.receiver)) == 6
+
+
+# -- Kalman loop ----------------------------------------------------------------------------------
+
+
+def steady_kalman(receiver, t_s, cn0_dbhz):
+    """Stationary r.m.s. errors of code [chips], phase, Doppler of a signal in uniform motion.
+
+    The gain by scipy's Riccati equation, the error's covariance by its own recursion with that gain
+    and without process noise, which the signal has none of.
+    """
+    q, k = receiver.design.kalman, 1.0 / 1540.0
+    F = np.eye(4)
+    F[1, 2:], F[2, 3] = (t_s, t_s**2 / 2.0), t_s
+    F[0, 2:] = k * F[1, 2:]
+    u = np.linspace(0.0, t_s, 4001)
+    columns = (
+        np.stack([np.full_like(u, k), np.ones_like(u), 0 * u, 0 * u], 1),
+        np.stack([k * u**2 / 2.0, u**2 / 2.0, u, np.ones_like(u)], 1),
+    )
+    Q = q[1] * t_s * np.outer(columns[0][0], columns[0][0]) + q[3] * np.trapezoid(
+        columns[1][:, :, None] * columns[1][:, None, :], u, axis=0
+    )
+    Q[0, 0] += q[0] * t_s
+    H = np.array([[1.0, 0.0, -k * t_s / 2.0, k * t_s**2 / 6.0], [0.0, 1.0, -t_s / 2, t_s**2 / 6.0]])
+    tc = t_s * 10.0 ** (cn0_dbhz / 10.0)
+    R = np.diag(
+        [0.25 / (2.0 * tc) * (1.0 + 1.0 / tc), (1 + 1 / (2 * tc)) / (2 * tc) / (2 * np.pi) ** 2]
+    )
+    P = solve_discrete_are(F.T, H.T, Q, R)
+    K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
+    A = (np.eye(4) - K @ H) @ F
+    return np.sqrt(np.diag(solve_discrete_lyapunov(A, K @ R @ K.T)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cn0", [35.0, 45.0])
+def test_jitter_of_the_kalman_loop(cn0):
+    t_s = 0.005
+    settings = ScalarSettings(t_s, loop="kalman", divergence_m_sqrt_s=3.0)
+    b = bench(settings, 32, 12.0, cn0)
+    b.run(4.0)
+    s, errors = b.receiver, []
+    kalman = s.loops.kalman
+    for k in range(4000, 11000):
+        s.step(b.correlator(s.steer((k + 1) * 0.001, NO_IMU)))
+        t = np.array([s.t_s])
+        phase = true_phase(b.state.t_s, b.state.carrier_phase_cycles, t)[0]
+        code = true_phase(b.state.t_s, b.state.code_phase_chips, t)[0]
+        ahead = s.t_s - kalman.t_s
+        fresh = np.where(ahead < 0.001, 0.0, np.nan)  # just updated: bits end at different times
+        behind = (
+            kalman.mean[:, :2]
+            - kalman.nco
+            + ahead[:, None] * np.outer(kalman.mean[:, 2], [1.0 / 1540.0, 1.0])
+        )  # of the NCO, as the filter believes
+        cycles = phase - s.loops.carrier_cycles - behind[:, 1]
+        hz = b.state.carrier_phase_cycles[:, round(s.t_s / NODE_S), 1] - kalman.mean[:, 2]
+        chips = code - s.loops.code_chips - behind[:, 0]
+        errors.append([fresh + chips, fresh + (cycles + 0.25) % 0.5 - 0.25, fresh + hz])
+    assert loss_reasons(s) == []
+    found = np.sqrt(np.nanmean(np.square(errors), axis=(0, 2)))
+    theory = steady_kalman(s, t_s, cn0)[:3]
+    np.testing.assert_allclose(found[1:], theory[1:], rtol=0.05)
+    assert found[0] == pytest.approx(theory[0], rel=0.1)
+
+
+def test_the_kalman_loop_pulls_in_and_comes_back():
+    level = np.full(round(8.0 / NODE_S) + 1, 42.0)
+    level[round(3.0 / NODE_S) : round(4.0 / NODE_S)] = 0.0
+    b = bench(ScalarSettings(0.005, loop="kalman"), 6, 8.0, level, clock_rate_mps=2.0)
+    b.run(2.9)
+    assert (b.receiver.loops.phase == LOCKED).all()
+    b.run(7.9)
+    assert (b.receiver.first_lost_s > 3.0).all()
+    assert (b.receiver.loops.phase == LOCKED).all()
+    true_hz = b.state.carrier_phase_cycles[:, -20, 1]
+    np.testing.assert_allclose(b.receiver.doppler_hz, true_hz, atol=1.0)
+
+
+# -- phases and aiding ----------------------------------------------------------------------------
+
+
+def test_each_phase_has_its_own_settings():
+    settings = ScalarSettings(
+        0.02, 5.0, dll_bandwidth_hz=0.5, pull_in_bandwidth_hz=8.0, pull_in_dll_bandwidth_hz=4.0,
+        assisted_integration_s=0.005, assisted_bandwidth_hz=15.0, assisted_dll_bandwidth_hz=2.0,
+    )  # fmt: skip
+    b = bench(settings, 4, 3.0, 45.0)
+    d = b.receiver.design
+    assert (d.block_assisted, d.block) == (5, 20)
+    np.testing.assert_array_equal(d.pll_assisted, phase_loop(3, 15.0, 0.005, 0.0005)[1])
+    np.testing.assert_array_equal(d.dll_assisted, phase_loop(1, 2.0, 0.005, 0.0005)[1])
+    np.testing.assert_array_equal(d.dll_pull_in, phase_loop(1, 4.0, 0.001, 0.0005)[1])
+    np.testing.assert_array_equal(d.dll, phase_loop(1, 0.5, 0.02, 0.0005)[1])
+    seen = set()
+    for k in range(2900):
+        b.receiver.step(b.correlator(b.receiver.steer((k + 1) * 0.001, NO_IMU)))
+        seen |= {
+            (int(p), int(n))
+            for p, n in zip(b.receiver.loops.phase, b.receiver.loops.n_in_block, strict=True)
+        }
+    assert max(n for p, n in seen if p == ASSISTED) == 5
+    assert max(n for p, n in seen if p == LOCKED) == 20
+
+
+def test_a_latency_holds_increments_back_and_loses_none():
+    line, got = Delayed(0.012), []
+    t = np.arange(9) * 0.005
+    for k in range(60):
+        end = (k + 1) * 0.001
+        n0, n1 = np.searchsorted(t[1:], [end - 0.001 + 1e-9, end + 1e-9])
+        given = Increments(t[n0 : n1 + 1], np.full((n1 - n0, 3), n0 + 1.0), np.zeros((n1 - n0, 3)))
+        out = line(given, end)
+        assert out.t_s.size == out.alpha_ib_b.shape[0] + 1
+        got += [
+            (end, float(a[0]), float(stamp))
+            for a, stamp in zip(out.alpha_ib_b, out.t_s[1:], strict=True)
+        ]
+    assert [number for _, number, _ in got] == list(range(1, 9))
+    for end, number, stamp in got:
+        assert stamp == pytest.approx(number * 0.005)
+        assert end == pytest.approx(stamp + 0.012)
+
+
+def test_a_late_aid_is_the_same_command_later():
+    world = World(scenario.load("jump-1", ['receiver.closure="scalar-ins"']), 1)
+    imu = world.imu[0]
+    changed = []
+    for latency in (0.0, 0.01):
+        settings = ScalarSettings(0.005, aiding_latency_s=latency)
+        frequencies = []
+        for push in (0.0, 5.0):
+            receiver = Scalar(world.knows, settings, 0.25, NODE_S, aided=True)
+            run = []
+            for k in range(20):
+                given = NO_IMU._replace(t_s=np.array([k // 5 * 0.005]))
+                if k % 5 == 4:
+                    j = k // 5
+                    nu = imu.nu_ib_b[j : j + 1] + (push if j == 0 else 0.0)
+                    given = Increments(imu.t_s[j : j + 2], imu.alpha_ib_b[j : j + 1], nu)
+                run.append(receiver.steer((k + 1) * 0.001, given).carrier_freq_hz[0])
+            frequencies.append(run)
+        differs = np.abs(np.array(frequencies[1]) - frequencies[0]).max(axis=1) > 1.0
+        changed.append(int(np.argmax(differs)))
+    # the increment that ends at 5 ms acts on the command from 5 ms on, or from 15 ms on
+    assert changed == [5, 15]
+
+
+def test_the_clock_takes_what_the_loops_have_in_common():
+    world = World(scenario.load("uniform", ['receiver.closure="scalar-ins"', *CALM]), 1)
+    receiver = Scalar(world.knows, ScalarSettings(0.005, aiding_clock="learnt"), 0.25, NODE_S, True)
+    loops, before = receiver.loops, receiver.steering.clock[1]
+    loops.phase[:-1] = LOCKED
+    loops.loop_hz[:] = loops.carrier_memory[:, 1] = 4.0
+    total = receiver.doppler_hz
+    learn_clock(receiver.steering.buffer, 0.25, loops)
+    assert receiver.steering.clock[1] - before == pytest.approx(-WAVELENGTH_M)
+    np.testing.assert_allclose(receiver.doppler_hz[:-1], total[:-1], atol=1e-9)
+    assert receiver.doppler_hz[-1] == pytest.approx(total[-1] + 1.0)  # not locked: a better aid
+    loops.phase[3:] = PULL_IN
+    learn_clock(receiver.steering.buffer, 0.25, loops)  # three are too few
+    assert receiver.steering.clock[1] - before == pytest.approx(-WAVELENGTH_M)
+
+
+@pytest.mark.slow
+def test_the_clock_drift_is_learnt_in_flight():
+    told = ["receiver.knows.velocity_sigma_mps=0.01", "receiver.knows.clock_rate_sigma_mps=5.0"]
+    errors = []
+    for kind in ("first", "learnt"):
+        changes = ['receiver.closure="scalar-ins"', f'receiver.aiding_clock="{kind}"', *told, *LOOP]
+        world = World(scenario.load("uniform", [*changes, "cn0_dbhz=45.0"]), 2)
+        receiver = new_closure(world.scenario, world.knows)
+        fly(receiver, world.correlator(), world.imu[0], 8.0)
+        drift = world.clock.drift_mps[round(8.0 / NODE_S)]
+        errors.append(abs(receiver.steering.clock[1] - drift))
+    assert errors[0] > 1.0
+    assert errors[1] < 0.2

@@ -1,128 +1,77 @@
-"""What the channels of the scalar closure remember, and the kernels that run their loops.
-
-Powers, with P_k the 20 prompts of one code period (1 ms) in a data bit, in units of the noise:
-
-    narrow  |sum P_k|^2 = 400 A^2 + 20 (2 N)        wide  sum |P_k|^2 = 20 (A^2 + 2 N)
-
-so that A^2 = (narrow - wide) / 380 needs no noise floor, and C/N0 = A^2 / (2 N 1 ms): the
-narrow-wide power ratio of Van Dierendonck (Parkinson & Spilker, 1996, vol. I, ch. 8), as a ratio
-of low passes.  His phase lock indicator (I^2 - Q^2) / (I^2 + Q^2) = cos 2 phi of a bit's prompt is
-used too; the frequency lock indicator is Re(H2 conj H1) over the mean power of the halves H1, H2
-of the bit, the cosine of the turn in half a bit.  Both are low passes of the bits' own ratios.
-"""
+"""The kernels that run the loops of the channels of the scalar closure."""
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
 from signals.compiled import kernel
-from signals.constants import C_MPS, CA_CHIP_RATE_HZ, GPS_L1_HZ
-from ultratight.tracking.discriminators import costas_phase, dot_product_delay, frequency
-from ultratight.tracking.loop_filters import filter_step
-from ultratight.tracking.steering import advance_ins, predict, views
-
-WAVELENGTH_M = C_MPS / GPS_L1_HZ
-PULL_IN, ASSISTED, LOCKED = 0, 1, 2
-CODE_S = 0.001
-BIT_CODES = 20
-BIT_S = BIT_CODES * CODE_S
-HALF_BIT_S = 0.5 * BIT_S
-POWER_GAIN = BIT_S / 1.0
-"""C/N0: low pass of 1 s"""
-LOCK_GAIN = BIT_S / 0.4
-"""Indicators: low pass of 0.4 s, which forgives what a loop survives"""
-SETTLING_S = 0.3
-"""Pull-in takes at least this long"""
-PATIENCE_S = 2.0
-"""Pull-in and assisted phase start anew so long after they could have ended"""
-FREQUENCY_FOUND_ABOVE = 0.5
-"""cos(2 pi f 10 ms): 17 Hz, less at low C/N0"""
-PHASE_FOUND_ABOVE = 0.6
-PHASE_GOOD_ABOVE = 0.8
-PHASE_LOST_BELOW = 0.4
-FREQUENCY_LOST_BELOW = 0.2
-"""A Costas loop can rest at a multiple of 1/(2 T), where the halves of the bit turn by 90 deg"""
-CN0_LOST_BELOW_DBHZ = 15.0
-CN0_FLOOR_DBHZ = 10.0
-
-_FREQUENCY_FOUND, _PHASE_FOUND, _PHASE_LOST, _FREQUENCY_LOST, _CN0_LOST, _NEVER = range(6)
-EVENTS = (
-    ("frequency lock", "frequency lock indicator {:.2f}"),
-    ("phase lock", "phase lock indicator {:.2f}"),
-    ("loss of lock", "phase lock indicator {:.2f}"),
-    ("loss of lock", "frequency lock indicator {:.2f}"),
-    ("loss of lock", "C/N0 {:.1f} dB-Hz"),
-    ("loss of lock", "no lock within {:.1f} s"),
+from signals.constants import CA_CHIP_RATE_HZ, GPS_L1_HZ
+from ultratight.tracking import kalman_loop
+from ultratight.tracking.channel_lock import amplitude2, watch
+from ultratight.tracking.channel_state import (
+    ASSISTED,
+    BIT_CODES,
+    BIT_S,
+    CHIP_M,
+    CN0_LOST,
+    CN0_LOST_BELOW_DBHZ,
+    CODE_S,
+    DIVERGED,
+    DIVERGENCE_S,
+    EVENTS,
+    FLL,
+    FREQUENCY_FOUND,
+    FREQUENCY_FOUND_ABOVE,
+    FREQUENCY_LOST,
+    FREQUENCY_LOST_BELOW,
+    HALF_BIT_S,
+    LOCKED,
+    NEVER,
+    PATIENCE_S,
+    PHASE_FOUND,
+    PHASE_FOUND_ABOVE,
+    PHASE_GOOD_ABOVE,
+    PHASE_LOST,
+    PHASE_LOST_BELOW,
+    PLL,
+    PULL_IN,
+    SETTLING_S,
+    WAVELENGTH_M,
+    Design,
+    Loops,
+    new_loops,
 )
-"""(kind, reason) by the code that `close_loops` gives"""
+from ultratight.tracking.discriminators import ATAN2, delay_error, frequency_error, phase_error
+from ultratight.tracking.kalman_loop import (
+    DOPPLER,
+    RATE,
+    add_period,
+    close_filter,
+    ran,
+    start_estimate,
+)
+from ultratight.tracking.loop_filters import filter_step
 
+__all__ = [
+    "ASSISTED",
+    "BIT_CODES",
+    "BIT_S",
+    "CODE_S",
+    "EVENTS",
+    "HALF_BIT_S",
+    "LOCKED",
+    "PULL_IN",
+    "WAVELENGTH_M",
+    "Design",
+    "Loops",
+    "advance",
+    "close_loops",
+    "new_loops",
+]
 
-class Design(NamedTuple):
-    """Gains of the loops for `filter_step`, and what they need to know of the signal."""
-
-    block: int  # code periods in an integration of the assisted and locked phases
-    pll: np.ndarray  # (3,)
-    pll_wide: np.ndarray  # (3,) while it is assisted, and until it has settled without
-    assist: np.ndarray  # (3,) FLL beside the PLL
-    pull_in: np.ndarray  # (3,) FLL alone
-    dll: np.ndarray  # (3,)
-    dll_pull_in: np.ndarray  # (3,) on single code periods
-    slope: np.ndarray  # (n_channel,) of early minus late [1/chip]
-    settling_s: float  # the PLL is assisted at least this long
-    narrow_after_s: float  # and stays wide for so long after phase lock
-
-
-class Loops(NamedTuple):
-    """All channels' memory; arrays are updated in place."""
-
-    code_chips: np.ndarray  # (n_channel,) NCO code phase at the end of the command
-    carrier_cycles: np.ndarray  # (n_channel,) NCO carrier phase there
-    loop_hz: np.ndarray  # (n_channel,) carrier loop's share of the frequency
-    loop_chips_per_s: np.ndarray  # (n_channel,) code loop's share of the chip rate
-    carrier_memory: np.ndarray  # (n_channel, 2) Hz/s, Hz
-    code_memory: np.ndarray  # (n_channel, 2) chips/s^2, chips/s
-    feed: np.ndarray  # (n_channel, 2) fed forward: Hz, Hz/s
-    feed_t_s: np.ndarray  # (1,) at this time
-    last_good_hz: np.ndarray  # (n_channel,) loop frequency when the phase was last well locked
-    phase: np.ndarray  # (n_channel,) int64: PULL_IN, ASSISTED, LOCKED
-    since_s: np.ndarray  # (n_channel,) in this phase since
-    first_lost_s: np.ndarray  # (n_channel,) NaN where never lost
-    next_index: np.ndarray  # (n_channel,) int64, of the dump to come
-    n_in_block: np.ndarray  # (n_channel,) int64
-    n_in_bit: np.ndarray  # (n_channel,) int64, negative in a bit that is not whole
-    block: np.ndarray  # (n_channel, 3) sums of early, prompt, late over the integration
-    halves: np.ndarray  # (n_channel, 2) sums of the prompts over the halves of the bit
-    last: np.ndarray  # (n_channel,) complex prompt before this one
-    products: np.ndarray  # (n_channel,) sum of P_k conj(P_k-1) over the bit
-    wide_now: np.ndarray  # (n_channel,) sum of |P_k|^2 over the bit
-    narrow: np.ndarray  # (n_channel,) low pass of the narrow-band power
-    wide: np.ndarray  # (n_channel,) and of the wide-band power
-    cn0_dbhz: np.ndarray  # (n_channel,)
-    phase_lock: np.ndarray  # (n_channel,) indicator
-    frequency_lock: np.ndarray  # (n_channel,) indicator
-    prompt: np.ndarray  # (n_channel,) complex, last whole bit, unit noise per component
-
-
-def new_loops(cn0_dbhz: np.ndarray) -> Loops:
-    """Loops at rest, told the C/N0 (n_channel,) to expect."""
-    n = cn0_dbhz.size
-    real, whole, turning = np.zeros, np.int64, np.complex128
-    loops = Loops(
-        real(n), real(n), real(n), real(n), real((n, 2)), real((n, 2)), real((n, 2)), real(1),
-        real(n), real(n, whole), real(n), np.full(n, np.nan),
-        np.full(n, -1, whole), real(n, whole), np.full(n, -BIT_CODES, whole),
-        real((n, 3), turning), real((n, 2), turning), real(n, turning), real(n, turning),
-        real(n), real(n), real(n),
-        np.array(cn0_dbhz, dtype=np.float64), real(n), real(n), real(n, turning),
-    )  # fmt: skip
-    loops.frequency_lock[:] = 1.0  # the first Doppler is good to some Hz, until proved otherwise
-    a2 = 2.0 * 10.0 ** (cn0_dbhz / 10.0) * CODE_S
-    loops.narrow[:] = BIT_CODES * (BIT_CODES * a2 + 2.0)
-    loops.wide[:] = BIT_CODES * (a2 + 2.0)
-    return loops
+# ---- kernels ---------------------------------------------------------------------------------
 
 
 @kernel
@@ -130,6 +79,12 @@ def advance(t0_s: float, t1_s: float, loops: Loops, out: np.ndarray) -> None:
     """Command [t0, t1) into out (5, 1, n_channel), in the order of `Nco`; phases go on."""
     dt = t1_s - t0_s
     for i in range(loops.phase.size):
+        if i < loops.kalman.t_s.size:
+            if loops.phase[i] != PULL_IN and not math.isnan(loops.kalman.t_s[i]):
+                loops.loop_chips_per_s[i], loops.loop_hz[i] = kalman_loop.command(
+                    i, t0_s, dt, loops.steer_s[0], loops.kalman
+                )
+            ran(i, loops.loop_chips_per_s[i], loops.loop_hz[i], t0_s, t1_s, loops.kalman)
         ramp = loops.feed[i, 1]
         freq = loops.feed[i, 0] + ramp * (t0_s - loops.feed_t_s[0]) + loops.loop_hz[i]
         cycles = dt * (freq + 0.5 * ramp * dt)
@@ -142,32 +97,6 @@ def advance(t0_s: float, t1_s: float, loops: Loops, out: np.ndarray) -> None:
         out[4, 0, i] = ramp
         loops.code_chips[i] += chip_rate * dt
         loops.carrier_cycles[i] += cycles
-
-
-@kernel
-def feed_forward(
-    t_s: np.ndarray,
-    alpha: np.ndarray,
-    nu: np.ndarray,
-    steering: np.ndarray,
-    sky: np.ndarray,
-    loops: Loops,
-) -> None:
-    """Take the increments (m, 3) between t_s (m + 1,) into the INS; renew what is fed forward.
-
-    ``steering`` is the buffer of a `Steering`, ``sky`` its arcs.  The Doppler's rate is its change
-    over the last interval.
-    """
-    s = views(steering, sky.shape[2])
-    for j in range(t_s.size - 1):
-        dt = t_s[j + 1] - t_s[j]
-        advance_ins(s, alpha[j], nu[j], dt)
-        predict(s, sky, t_s[j + 1])
-        for i in range(loops.phase.size):
-            doppler = -s.rho_rate[i] / WAVELENGTH_M
-            loops.feed[i, 1] = (doppler - loops.feed[i, 0]) / dt
-            loops.feed[i, 0] = doppler
-    loops.feed_t_s[0] = t_s[t_s.size - 1]
 
 
 @kernel
@@ -189,16 +118,25 @@ def close_loops(
     for k in range(channel.size):
         i = channel[k]
         code = index[k] % BIT_CODES
-        length = design.block if loops.phase[i] != PULL_IN else 1
-        _add(i, index[k], code, length, iq[k], 1.0 / math.sqrt(noise_var[k]), loops)
+        length = _integration(i, loops, design)
+        scale = 1.0 / math.sqrt(noise_var[k])
+        if design.bits.shape[1]:
+            column = index[k] // BIT_CODES - design.first_bit
+            known = 0 <= column < design.bits.shape[1]
+            scale *= float(design.bits[i, column]) if known else 0.0
+        _add(i, index[k], code, length, iq[k], scale, loops)
+        if i < loops.kalman.t_s.size:
+            add_period(i, t_end_s[k], CODE_S, code % length == 0, loops.kalman)
         bit_ends = loops.n_in_bit[i] == BIT_CODES
         if bit_ends:
-            _watch(i, loops)
+            watch(i, loops, design.cn0)
             _close_frequency_loop(i, loops, design)
         if loops.n_in_block[i] == length:
             _close_block(i, length, t_end_s[k], loops, design)
         if bit_ends:
             what, value = _decide(i, t_end_s[k], loops, design)
+            if loops.phase[i] == ASSISTED and what == FREQUENCY_FOUND and loops.kalman.t_s.size:
+                start_estimate(i, loops.carrier_memory[i, 1], loops.kalman)
             if what >= 0:
                 events[n_event, 0] = t_end_s[k]
                 events[n_event, 1] = i
@@ -206,6 +144,14 @@ def close_loops(
                 events[n_event, 3] = value
                 n_event += 1
     return events[:n_event]
+
+
+@kernel
+def _integration(i: int, loops: Loops, design: Design) -> int:
+    """Code periods in an integration of channel i now."""
+    if loops.phase[i] == PULL_IN:
+        return 1
+    return design.block if loops.phase[i] == LOCKED else design.block_assisted
 
 
 @kernel
@@ -238,39 +184,12 @@ def _add(
 
 
 @kernel
-def _watch(i: int, loops: Loops) -> None:
-    """Renew C/N0 and the lock indicators of channel i at the end of a data bit."""
-    first, second = loops.halves[i, 0], loops.halves[i, 1]
-    prompt = first + second
-    loops.prompt[i] = prompt / math.sqrt(BIT_CODES)
-    narrow = prompt.real**2 + prompt.imag**2
-    # ratios bit by bit: a signal that is gone does not live on in the sums
-    doubled = (prompt.real**2 - prompt.imag**2) / max(narrow, 1e-30)
-    loops.phase_lock[i] += LOCK_GAIN * (doubled - loops.phase_lock[i])
-    turned = second.real * first.real + second.imag * first.imag
-    power = 0.5 * (abs(first) ** 2 + abs(second) ** 2)
-    loops.frequency_lock[i] += LOCK_GAIN * (turned / max(power, 1e-30) - loops.frequency_lock[i])
-    if loops.phase[i] == PULL_IN and loops.frequency_lock[i] < FREQUENCY_FOUND_ABOVE:
-        return  # the bit's sum says nothing of the power while the frequency is wrong
-    loops.narrow[i] += POWER_GAIN * (narrow - loops.narrow[i])
-    loops.wide[i] += POWER_GAIN * (loops.wide_now[i] - loops.wide[i])
-    a2 = _amplitude2(i, loops)
-    twice_noise = max(loops.wide[i] / BIT_CODES - a2, 1e-30)
-    loops.cn0_dbhz[i] = 10.0 * math.log10(a2 / (twice_noise * CODE_S))
-
-
-@kernel
-def _amplitude2(i: int, loops: Loops) -> float:
-    """Squared amplitude of the prompt of one code period, not below the floor."""
-    pairs = BIT_CODES * (BIT_CODES - 1)
-    floor = 2.0 * 10.0 ** (CN0_FLOOR_DBHZ / 10.0) * CODE_S
-    return max((loops.narrow[i] - loops.wide[i]) / pairs, floor)
-
-
-@kernel
 def _close_frequency_loop(i: int, loops: Loops, design: Design) -> None:
     """The FLL alone, or its push on the integrators of the PLL."""
-    if loops.phase[i] == LOCKED:
+    pull_in = loops.phase[i] == PULL_IN
+    if design.carrier == PLL and loops.phase[i] == LOCKED:
+        return
+    if loops.kalman.t_s.size and not pull_in:
         return
     memory = loops.carrier_memory[i]
     if loops.frequency_lock[i] < FREQUENCY_FOUND_ABOVE:
@@ -280,10 +199,12 @@ def _close_frequency_loop(i: int, loops: Loops, design: Design) -> None:
         lag_s, n_product = HALF_BIT_S, BIT_CODES**2 // 4
         products = loops.halves[i, 1] * loops.halves[i, 0].conjugate()
     # noise alone, when the signal is gone, is far below the amplitude that was: it pushes little
-    weight = min(1.0, abs(products) / (n_product * _amplitude2(i, loops)))
-    error = weight * frequency(products, lag_s)
-    if loops.phase[i] == PULL_IN:
-        loops.loop_hz[i] = filter_step(memory, error, BIT_S, design.pull_in)
+    weight = min(1.0, abs(products) / (n_product * amplitude2(i, loops)))
+    size2 = max(abs(products), 1e-30)
+    error = weight * frequency_error(design.discriminators[2], products, lag_s, size2)
+    if pull_in or design.carrier == FLL:
+        gains = design.pull_in if pull_in else design.assist
+        loops.loop_hz[i] = filter_step(memory, error, BIT_S, gains)
     else:
         memory[0] += design.assist[2] * error
         memory[1] += design.assist[1] * error
@@ -294,18 +215,49 @@ def _close_block(i: int, length: int, t_s: float, loops: Loops, design: Design) 
     """Code loop, and carrier phase loop if it is on, at the end of an integration."""
     early, prompt, late = loops.block[i]
     interval_s = length * CODE_S
-    error = dot_product_delay(
-        early, prompt, late, length**2 * _amplitude2(i, loops), design.slope[i]
-    )
+    a2 = length**2 * amplitude2(i, loops)
+    code, phase, _ = design.discriminators
+    error = delay_error(code, early, prompt, late, a2, design.slope[i], design.level[i])
     pull_in = loops.phase[i] == PULL_IN
-    gains = design.dll_pull_in if pull_in else design.dll
-    loops.loop_chips_per_s[i] = filter_step(loops.code_memory[i], error, interval_s, gains)
-    if not pull_in:
-        settled = loops.phase[i] == LOCKED and t_s > loops.since_s[i] + design.narrow_after_s
-        carrier_gains = design.pll if settled else design.pll_wide
-        loops.loop_hz[i] = filter_step(
-            loops.carrier_memory[i], costas_phase(prompt), interval_s, carrier_gains
-        )
+    if loops.kalman.t_s.size and not pull_in:
+        _close_kalman(i, length, t_s, error, loops, design)
+    else:
+        gains = design.dll if loops.phase[i] == LOCKED else design.dll_assisted
+        if pull_in:
+            gains = design.dll_pull_in
+        loops.loop_chips_per_s[i] = filter_step(loops.code_memory[i], error, interval_s, gains)
+        if not pull_in and design.carrier != FLL:
+            settled = loops.phase[i] == LOCKED and t_s > loops.since_s[i] + design.narrow_after_s
+            carrier_gains = design.pll if settled else design.pll_wide
+            if loops.phase[i] == ASSISTED:
+                carrier_gains = design.pll_assisted
+            loops.loop_hz[i] = filter_step(
+                loops.carrier_memory[i], phase_error(phase, prompt, a2), interval_s, carrier_gains
+            )
+    rate_mps = -CHIP_M * loops.loop_chips_per_s[i]  # code phase that runs ahead is a shorter range
+    loops.divergence_mps[i] += interval_s / DIVERGENCE_S * (rate_mps - loops.divergence_mps[i])
+
+
+@kernel
+def _close_kalman(
+    i: int, length: int, t_s: float, code_error: float, loops: Loops, design: Design
+) -> None:
+    """The filter in place of the loops' own; variances are those of dot product and Costas loop."""
+    if math.isnan(loops.kalman.t_s[i]):
+        start_estimate(i, loops.carrier_memory[i, 1], loops.kalman)
+    kind = design.discriminators[1]
+    a2 = length * amplitude2(i, loops)  # 2 T C/N0
+    error = phase_error(kind, loops.block[i, 1], length * a2)
+    squaring = 0.0 if kind == ATAN2 else 1.0 / a2
+    code_variance = design.early_late[i] / (a2 * design.slope[i] ** 2) * (1.0 + 2.0 / a2)
+    variance = (1.0 + squaring) / (a2 * (2.0 * math.pi) ** 2)
+    close_filter(
+        i, t_s, length, length * CODE_S, (code_error, error), (code_variance, variance),
+        1.0 if kind == ATAN2 else 0.5, design.kalman, loops.kalman,
+    )  # fmt: skip
+    loops.steer_s[0] = length * CODE_S
+    loops.carrier_memory[i, 0] = loops.kalman.mean[i, RATE]
+    loops.carrier_memory[i, 1] = loops.kalman.mean[i, DOPPLER]
 
 
 @kernel
@@ -314,34 +266,37 @@ def _decide(i: int, t_s: float, loops: Loops, design: Design) -> tuple[int, floa
     for_s = t_s - loops.since_s[i]
     phase_lock, frequency_lock = loops.phase_lock[i], loops.frequency_lock[i]
     if loops.phase[i] == LOCKED:
-        if phase_lock > PHASE_GOOD_ABOVE:
+        alone = design.carrier == FLL
+        if (frequency_lock if alone else phase_lock) > PHASE_GOOD_ABOVE:
             loops.last_good_hz[i] = loops.carrier_memory[i, 1]
         what, value = -1, 0.0
-        if phase_lock < PHASE_LOST_BELOW:
-            what, value = _PHASE_LOST, phase_lock
+        if not alone and phase_lock < PHASE_LOST_BELOW:
+            what, value = PHASE_LOST, phase_lock
         elif frequency_lock < FREQUENCY_LOST_BELOW:
-            what, value = _FREQUENCY_LOST, frequency_lock
+            what, value = FREQUENCY_LOST, frequency_lock
         elif loops.cn0_dbhz[i] < CN0_LOST_BELOW_DBHZ:
-            what, value = _CN0_LOST, loops.cn0_dbhz[i]
+            what, value = CN0_LOST, loops.cn0_dbhz[i]
+        elif abs(loops.divergence_mps[i]) > design.divergence_mps and for_s > 2.0 * DIVERGENCE_S:
+            what, value = DIVERGED, loops.divergence_mps[i]
         if what >= 0:
             _pull_in_again(i, t_s, loops)
         return what, value
     settling_s = SETTLING_S if loops.phase[i] == PULL_IN else design.settling_s
     if for_s > settling_s:
         if loops.phase[i] == PULL_IN and frequency_lock > FREQUENCY_FOUND_ABOVE:
-            loops.phase[i] = ASSISTED
+            loops.phase[i] = LOCKED if design.carrier == FLL else ASSISTED
             loops.since_s[i] = t_s
             loops.phase_lock[i] = 0.0  # the phase is not believed before it has been seen
-            return _FREQUENCY_FOUND, frequency_lock
+            return FREQUENCY_FOUND, frequency_lock
         if loops.phase[i] == ASSISTED and phase_lock > PHASE_FOUND_ABOVE:
             loops.phase[i] = LOCKED
             loops.since_s[i] = t_s
-            return _PHASE_FOUND, phase_lock
+            return PHASE_FOUND, phase_lock
     if for_s > settling_s + PATIENCE_S:
         never = math.isnan(loops.first_lost_s[i])
         _pull_in_again(i, t_s, loops)
         if never:
-            return _NEVER, for_s
+            return NEVER, for_s
     return -1, 0.0
 
 
@@ -356,3 +311,6 @@ def _pull_in_again(i: int, t_s: float, loops: Loops) -> None:
     loops.carrier_memory[i, 1] = loops.last_good_hz[i]
     loops.loop_hz[i] = loops.last_good_hz[i]
     loops.frequency_lock[i] = 0.0
+    loops.divergence_mps[i] = 0.0
+    if loops.kalman.t_s.size:
+        loops.kalman.t_s[i] = math.nan

@@ -6,68 +6,52 @@ A channel goes through three phases (Kaplan & Hegarty, 3rd ed., ch. 8), each ste
     assisted   FLL-assisted PLL
     locked     PLL alone, Costas; its thermal jitter is the textbook's
 
-and back to pull-in on loss of lock.  The FLL works on products of successive 1 ms prompts, which
-see +-500 Hz, while its indicator is bad, else on the two halves of a data bit (+-50 Hz).  The
-DLL is carrier-aided throughout.  Dumps are single code periods; the loops add them up to
-``integration_s``, inside data bits, whose edges are known.  The integration's end moves against
-the 1 ms epochs, hence a command acts half an epoch late on average; the loop filters are designed
-for that.
+and back to pull-in on loss of lock.  An FLL may stay beside the PLL, or be all there is
+(``carrier_loop``); a Kalman filter may take over from the loop filters after pull-in (``loop``).
 
-With INS aiding the Doppler that a free-running INS, the ephemerides and the first clock drift
-predict is fed forward; the same loops then track what is left.
+The FLL works on products of successive 1 ms prompts, which see +-500 Hz, while its indicator is
+bad, else on the two halves of a data bit (+-50 Hz).  The DLL is carrier-aided throughout.  Dumps
+are single code periods; the loops add them up to ``integration_s``, inside data bits, whose edges
+are known.  The integration's end moves against the 1 ms epochs, hence a command acts half an epoch
+late on average; the loop filters are designed for that.
+
+With INS aiding the Doppler that a free-running INS, the ephemerides and the clock drift, the first
+or a learnt one, predict is fed forward, late if so told; the same loops then track what is left.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from signals.code_start import code_phase_origin
-from signals.codes import GPS_L1CA
 from signals.constants import C_MPS, CA_CHIP_RATE_HZ
 from signals.nco import Nco, Taps
 from ultratight.ins.imu import Increments
-from ultratight.tracking.channel_loops import (
-    EVENTS,
-    LOCKED,
-    SETTLING_S,
-    WAVELENGTH_M,
-    Design,
-    Loops,
-    advance,
-    close_loops,
-    feed_forward,
-    new_loops,
-)
-from ultratight.tracking.discriminators import delay_slope
+from ultratight.tracking.channel_aiding import CLOCK_S, Delayed, feed_forward, learn_clock
+from ultratight.tracking.channel_loops import advance, close_loops
+from ultratight.tracking.channel_state import EVENTS, LOCKED, WAVELENGTH_M, Loops, new_loops
 from ultratight.tracking.knows import Knows
-from ultratight.tracking.loop_filters import frequency_loop, phase_loop
+from ultratight.tracking.loop_design import (
+    BIT_S,
+    EPOCH_S,
+    INTEGRATIONS_MS,
+    ScalarSettings,
+    design,
+)
 from ultratight.tracking.positioning import least_squares
 from ultratight.tracking.rows import Fields, Rows
 from ultratight.tracking.steering import antenna, start
 
-EPOCH_S = 0.001
-BIT_S = 0.02
 CODE_CHIPS = 1023
-INTEGRATIONS_MS = (1, 2, 4, 5, 10, 20)
-PULL_IN_BANDWIDTH_HZ = 5.0
-"""Of the FLL alone"""
-WIDE_BANDWIDTH_HZ = 12.0
-"""Of the PLL until it has settled, at least: the FLL's noise would swamp a narrow one"""
-SETTLING_BN = 6.0
-"""Bn times the time constant of the slow pair of poles of the third-order loop"""
-
-
-class ScalarSettings(NamedTuple):
-    """What the closure may be told; see `ultratight.scenario.Receiver` for the meanings."""
-
-    integration_s: float = 0.02
-    bandwidth_hz: float = 18.0
-    fll_bandwidth_hz: float = 2.0
-    dll_bandwidth_hz: float = 1.0
-    pll_order: int = 3
-    dll_order: int = 1
+__all__ = [
+    "BIT_S",
+    "CODE_CHIPS",
+    "EPOCH_S",
+    "INTEGRATIONS_MS",
+    "Scalar",
+    "ScalarSettings",
+    "design",
+]
 
 
 class Scalar:
@@ -76,7 +60,7 @@ class Scalar:
     Parameters
     ----------
     knows : Knows
-        Everything that the receiver is told at the start; data bits are not used.
+        Everything that the receiver is told at the start; data bits serve a PLL without Costas.
     settings : ScalarSettings
     spacing_chips : float
         Early and late replicas stand this far from the prompt.
@@ -104,9 +88,10 @@ class Scalar:
     ) -> None:
         self.knows, self.settings, self.aided = knows, settings, aided
         n = self.n_channel = knows.prn.size
-        self.design = design(settings, knows.prn, spacing_chips)
+        self.design = design(settings, knows, spacing_chips)
         self.steering, self.sky = start(knows, piece_s)
-        self.loops: Loops = new_loops(knows.cn0_dbhz)
+        self.loops: Loops = new_loops(knows.cn0_dbhz, settings.loop == "kalman")
+        self._delayed = Delayed(settings.aiding_latency_s)
         self.t_s = 0.0
         self.events: list[tuple[float, int, str, str]] = []
         self.dump_chips = np.full(n, CODE_CHIPS, dtype=np.int64)
@@ -131,6 +116,8 @@ class Scalar:
         t_s = np.array([self.t_s, t_end_s])
         out = np.empty((5, 1, self.n_channel))
         advance(self.t_s, t_end_s, self.loops, out)
+        if self.aided:
+            imu = self._delayed(imu, t_end_s)
         if self.aided and imu.alpha_ib_b.shape[0]:
             self.sky.reach(t_end_s)
             feed_forward(
@@ -141,6 +128,9 @@ class Scalar:
                 self.sky.arcs,
                 self.loops,
             )
+            if self.settings.aiding_clock == "learnt":
+                share = (imu.t_s[-1] - imu.t_s[0]) / CLOCK_S
+                learn_clock(self.steering.buffer, share, self.loops)
         self.t_s = t_end_s
         return Nco(t_s, out[0], out[1], out[2], out[3], out[4], self.dump_chips, self.valid)
 
@@ -212,6 +202,7 @@ class Scalar:
             "frequency_lock": loops.frequency_lock.copy(),
             "tracking_phase": loops.phase.copy(),
             "prompt": loops.prompt.copy(),
+            "code_carrier_divergence_mps": loops.divergence_mps.copy(),
         }
 
     def fields(self) -> Fields:
@@ -226,6 +217,7 @@ class Scalar:
             "frequency_lock": (*channel, "1", "frequency lock indicator"),
             "tracking_phase": (*channel, "1", "0 pull-in, 1 assisted, 2 locked"),
             "cn0": (*channel, "dB-Hz", "estimated C/N0"),
+            "code_carrier_divergence": (*channel, "m/s", "code range rate less the carrier's"),
             "prompt_i": (*channel, "standard deviations of the noise", "in-phase prompt, one bit"),
             "prompt_q": (*channel, "standard deviations of the noise", "quadrature prompt"),
         }
@@ -247,38 +239,6 @@ class Scalar:
         rows["frequency_lock"][k] = loops.frequency_lock
         rows["tracking_phase"][k] = loops.phase
         rows["cn0"][k] = loops.cn0_dbhz
+        rows["code_carrier_divergence"][k] = loops.divergence_mps
         rows["prompt_i"][k] = loops.prompt.real
         rows["prompt_q"][k] = loops.prompt.imag
-
-
-def design(settings: ScalarSettings, prn: np.ndarray, spacing_chips: float) -> Design:
-    """Gains of all loops; raises ValueError for settings that mean nothing."""
-    block = round(settings.integration_s / EPOCH_S)
-    if block not in INTEGRATIONS_MS or abs(settings.integration_s - block * EPOCH_S) > 1e-9:
-        raise ValueError(
-            f"integration_s is {settings.integration_s}: expected "
-            f"{', '.join(str(ms) for ms in INTEGRATIONS_MS)} ms, a divisor of the data bit"
-        )
-    if settings.pll_order not in (2, 3):
-        raise ValueError(f"pll_order is {settings.pll_order}: expected 2 or 3")
-    if settings.dll_order not in (1, 2):
-        raise ValueError(f"dll_order is {settings.dll_order}: expected 1 or 2")
-    if not 0.0 <= settings.fll_bandwidth_hz < np.inf:
-        raise ValueError(f"fll_bandwidth_hz is {settings.fll_bandwidth_hz}: expected >= 0")
-    late, t = 0.5 * EPOCH_S, settings.integration_s
-    wide_hz = max(settings.bandwidth_hz, WIDE_BANDWIDTH_HZ)
-    assist = np.zeros(3)
-    if settings.fll_bandwidth_hz > 0.0:
-        _, assist = frequency_loop(settings.pll_order - 1, settings.fll_bandwidth_hz, BIT_S, late)
-    return Design(
-        block,
-        phase_loop(settings.pll_order, settings.bandwidth_hz, t, late)[1],
-        phase_loop(settings.pll_order, wide_hz, t, late)[1],
-        assist,
-        frequency_loop(settings.pll_order - 1, PULL_IN_BANDWIDTH_HZ, BIT_S, late)[1],
-        phase_loop(settings.dll_order, settings.dll_bandwidth_hz, t, late)[1],
-        phase_loop(settings.dll_order, settings.dll_bandwidth_hz, EPOCH_S, late)[1],
-        np.array([delay_slope(GPS_L1CA.autocorrelation(int(p)), spacing_chips) for p in prn]),
-        max(SETTLING_S, SETTLING_BN / wide_hz),
-        3.0 * SETTLING_BN / wide_hz,
-    )
