@@ -15,6 +15,7 @@ allow none; it is NaN then, not a wrong number.
 
 What they tend to over many prompts (`limit_dbhz`): M2M4 the truth; SNV too much at low C/N0, as
 noise alone has a mean |I|; NWPR too little, as the mean of a ratio is not the ratio of the means.
+In a loop SNV takes phase jitter for noise: the variance grows from 1 to 1 + A^2 sigma^2 in Q.
 """
 
 from __future__ import annotations
