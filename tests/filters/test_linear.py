@@ -6,6 +6,7 @@ import pytest
 from ultratight.filters.adaptive import SageHusa, is_semidefinite
 from ultratight.filters.gaussian import Gaussian, Measurement, predict, update
 from ultratight.filters.linear import run_linear
+from ultratight.filters.robust import Ishakf
 from ultratight.filters.rules import get_rule
 
 N, M, EPOCHS = 5, 2, 30
@@ -85,6 +86,17 @@ def test_a_run_that_overflows_says_where(make):
     assert run.first.overflow == 2  # variances of 1e120, 1e240, then beyond 1e308
     assert np.isfinite(run.mean[:2]).all()
     assert np.isnan(run.mean[2:]).all()
+
+
+def test_an_overflow_of_the_noise_alone_is_one(make):
+    """A square beyond 1e308 in R^: x, P and Q would go on, with R^ not a number."""
+    start, Phi, Q, H, R, z = model(make)
+    z[10, 0] = 1e160
+    for options in (Ishakf(), Ishakf(adaptive=False, robust=False)):
+        run = run_linear(start, Phi, Q, H, R, z, options)
+        assert 10 <= run.first.overflow <= 11
+        assert np.isfinite(run.R_epoch[:10]).all()
+        assert np.isnan(run.mean[run.first.overflow :]).all()
 
 
 @pytest.mark.nojit

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from numbers import Real
 from typing import NamedTuple
 
 import numpy as np
@@ -69,7 +70,7 @@ class SageHusa:
 
     def __post_init__(self) -> None:
         for name, pair in (("b", self.b), ("a", self.a)):
-            if pair is not None and not (len(pair) == 2 and all(0.0 <= w <= 1.0 for w in pair)):
+            if (name, pair) != ("a", None) and not _are_weights(pair):
                 raise ValueError(f"{name}: {pair}, expected two numbers from 0 to 1, of R and of Q")
         if self.fix not in FIXES:
             raise ValueError(f"fix: {self.fix!r}, expected one of {', '.join(FIXES)}")
@@ -89,6 +90,12 @@ class SageHusa:
     def memory(self) -> NoiseMemory:
         """What it needs in closed loop."""
         return NoiseMemory(self)
+
+
+def _are_weights(pair: object) -> bool:
+    if not isinstance(pair, tuple | list) or len(pair) != 2:
+        return False
+    return all(isinstance(w, Real) and 0.0 <= float(w) <= 1.0 for w in pair)
 
 
 class NoiseMemory:

@@ -13,6 +13,7 @@ from typing import Any, Protocol
 from ultratight.filters import own
 from ultratight.filters.adaptive import SageHusa
 from ultratight.filters.classified import AEKF, GATE, REKF, Classified
+from ultratight.filters.door import check_step, whole
 from ultratight.filters.factored import PLAIN, make_pair
 from ultratight.filters.fading import AS_PRINTED, BLOCK, CLAMPED, FITTED, Fading, FadingOptions
 from ultratight.filters.gaussian import (
@@ -208,12 +209,15 @@ class RecipeFilter:
         several = recipe.fading or recipe.noise or recipe.several
         if recipe.form != PLAIN and several is not None:
             raise ValueError(f"form: {recipe.form!r}, expected {PLAIN!r} beside {several}")
+        whole("iterations", recipe.iterations, 1)
         self.recipe = recipe
         self.rule = get_rule(recipe.rule)
         self.fading = None if recipe.fading is None else Fading(recipe.fading)
         self.pair = make_pair(recipe.form)
         self.noise = None if recipe.noise is None else recipe.noise.memory()
         self.weights = None if recipe.weights is None else recipe.weights.memory(self.pair)
+        # others may hand out an indefinite P themselves: negative weights, printed intersections
+        self._definite = bool(recipe.noise or recipe.weights or self.at_once)
 
     @property
     def states(self) -> int:
@@ -245,6 +249,7 @@ class RecipeFilter:
     def step(self, state: Gaussian, prediction: Prediction, measurement: Measurement) -> Update:
         """Widen, predict, update (twice where P is inflated), intersect."""
         recipe = self.recipe
+        check_step(state, prediction, measurement, self._definite)
         if recipe.interval_q is not None:
             state, prediction = recipe.interval_q.apply(state, prediction)
         if recipe.velocity_q is not None:
@@ -263,6 +268,20 @@ class RecipeFilter:
         return result if recipe.intersect is None else recipe.intersect(prior, result)
 
 
+def _refuse_idle_parts(recipe: Recipe) -> None:
+    """ValueError where one part would keep another from being used."""
+    one = {n: getattr(recipe, n) for n in ("several", "noise", "weights", "fading")}
+    given = [n for n, part in one.items() if part is not None]
+    if recipe.intersect is not None and given != ["fading"]:
+        given += ["intersect"]
+    if len(given) > 1:
+        raise ValueError(f"{', '.join(given)}: expected one of these in a filter")
+    for n, kinds in (("noise", (SageHusa, Ishakf)), ("weights", (Classified,))):
+        if one[n] is not None and not isinstance(one[n], kinds):
+            names = " or ".join(kind.__name__ for kind in kinds)
+            raise ValueError(f"{n}: {one[n]!r}, expected {names}")
+
+
 def make_filter(name: str, **changes: Any) -> Filter:
     """The filter of that name, one per run; ``changes`` replace fields of its `Recipe`.
 
@@ -279,6 +298,7 @@ def make_filter(name: str, **changes: Any) -> Filter:
     except TypeError as error:
         fields = ", ".join(Recipe.__dataclass_fields__)
         raise ValueError(f"filter {name!r}: {error}; expected fields {fields}") from None
+    _refuse_idle_parts(recipe)
     if recipe.several is not None and recipe.form == PLAIN:
         return recipe.several.make(get_rule(recipe.rule), recipe.iterations)
     return RecipeFilter(recipe)

@@ -27,6 +27,7 @@ from scipy.special import chdtri
 
 from signals.compiled import FAST_SUM, kernel
 from ultratight.filters.conditioning import gain_matrix
+from ultratight.filters.door import whole
 from ultratight.filters.factored import Pair
 from ultratight.filters.gaussian import Gaussian, Measurement, Prediction, Update
 from ultratight.filters.rules import Rule
@@ -85,8 +86,7 @@ class Classified:
         ):  # fmt: skip
             if value not in rows:
                 raise ValueError(f"{name}: {value!r}, expected one of {', '.join(rows)}")
-        if isinstance(self.window, bool) or int(self.window) != self.window or self.window < 1:
-            raise ValueError(f"window: {self.window}, expected a whole number, at least 1")
+        whole("window", self.window, 1)
         if not (self.xi >= 0.0 and 1.0 + self.xi < self.eta1 < math.inf):
             raise ValueError(f"xi, eta1: {self.xi}, {self.eta1}, expected 0 <= xi < eta1 - 1")
         if not 0.0 < self.probability < 1.0:

@@ -29,6 +29,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from signals.constants import STANDARD_GRAVITY
+from ultratight.filters.door import check_step
 from ultratight.filters.gaussian import Gaussian, Measurement, Prediction, Update, predict, update
 from ultratight.filters.multiple_model import (
     Bank,
@@ -104,9 +105,12 @@ class JumpOptions:
             self.load, self.phase_share, self.transverse, self.ramp, self.unrest,
             self.unrest_s, self.unusual, self.start_s,
         )  # fmt: skip
-        if min(sizes) < 0.0 or not self.reference_mps2 > 0.0:
+        if not (all(size >= 0.0 for size in sizes) and self.reference_mps2 > 0.0):
             raise ValueError(f"{self}: expected sizes >= 0 and reference_mps2 > 0")
-        if min(self.prior) <= 0.0 or abs(sum(self.prior) - 1.0) > 1e-9:
+        if not (self.gate > 0.0 and self.gate_after_step > 0.0):
+            raise ValueError(f"gates: {self.gate}, {self.gate_after_step}, expected above 0")
+        p = self.prior
+        if not (len(p) == 4 and all(x > 0.0 for x in p) and abs(sum(p) - 1.0) <= 1e-9):
             raise ValueError(f"prior: {self.prior}, expected four positive numbers of sum 1")
         if not 0.0 < self.stay < 1.0:
             raise ValueError(f"stay: {self.stay}, expected 0 < stay < 1")
@@ -165,6 +169,7 @@ class JumpTriggered:
 
     def step(self, state: Gaussian, prediction: Prediction, measurement: Measurement) -> Update:
         """Open, predict, update and weigh; reopen where the score test fires."""
+        check_step(state, prediction, measurement, definite=False)
         o = self.options
         self.notes = []
         again = self.since_step == 0

@@ -226,7 +226,7 @@ def _run(
                     P[i, j] = M[i, j]
         if not is_semidefinite(P):
             _note(first, 2, k)
-        if not _is_finite(x, P, Q):
+        if not _is_finite(x, P, Q, R):
             _note(first, 4, k)
             return
         for i in range(n):
@@ -328,8 +328,10 @@ def _joseph(
 
 
 @borrowing
-def _is_finite(x: np.ndarray, P: np.ndarray, Q: np.ndarray) -> bool:
+def _is_finite(x: np.ndarray, P: np.ndarray, Q: np.ndarray, R: np.ndarray) -> bool:
     total = 0.0  # of magnitudes: none that is NaN or infinite can be cancelled by another
     for i in range(x.size):
         total += abs(x[i]) + abs(P[i, i]) + abs(Q[i, i])
+    for a in range(R.shape[0]):
+        total += abs(R[a, a])
     return bool(np.isfinite(total))

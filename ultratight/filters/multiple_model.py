@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from signals.compiled import kernel
+from ultratight.filters.door import check_step, whole
 from ultratight.filters.gaussian import Gaussian, Measurement, Prediction, Update, predict, update
 from ultratight.filters.interval import add_white_noise
 from ultratight.filters.rules import Rule
@@ -40,8 +41,10 @@ class Bank(NamedTuple):
 
 
 def bank_of(gaussian: Gaussian, weight: np.ndarray) -> Bank:
-    """The same Gaussian under every hypothesis, with the weights (nh,)."""
+    """The same Gaussian under every hypothesis, with the weights (nh,), which sum to 1."""
     nh = weight.size
+    if not (nh > 0 and weight.min() >= 0.0 and abs(weight.sum() - 1.0) < 1e-6):
+        raise ValueError(f"weights: {weight.tolist()}, expected one or more >= 0, of sum 1")
     with np.errstate(divide="ignore"):
         log_weight = np.log(weight)
     return Bank(
@@ -135,8 +138,8 @@ class ImmOptions:
         n = len(self.coherent_q if self.stay is None else self.stay)
         if not (n == len(self.coherent_q) == len(self.differential_q) and n > 0):
             raise ValueError(f"{self}: expected as many densities in both models as probabilities")
-        if not all(q >= 0.0 for q in self.coherent_q + self.differential_q):
-            raise ValueError(f"velocity noise densities: {self}, expected none below 0")
+        if not all(0.0 <= q < np.inf for q in self.coherent_q + self.differential_q):
+            raise ValueError(f"velocity noise densities: {self}, expected none below 0 or infinite")
         if not 0.0 <= self.floor < 1.0 / n:
             raise ValueError(f"floor: {self.floor}, expected 0 <= floor < 1 / {n}")
 
@@ -164,6 +167,7 @@ class Imm:
 
     def step(self, state: Gaussian, prediction: Prediction, measurement: Measurement) -> Update:
         """Mix, predict and update each hypothesis, weigh, merge."""
+        check_step(state, prediction, measurement, definite=False)
         options = self.options
         before = self.bank
         if before is None:
@@ -203,8 +207,7 @@ def hammersley(n: int) -> np.ndarray:
     The second coordinate is the radical inverse to base 2 (Hammersley, Ann. NY Acad. Sci. 86,
     1960); the half cell keeps it off (0, 0), which would be a model without noise.
     """
-    if n < 1:
-        raise ValueError(f"points: {n}, expected at least 1")
+    whole("points", n, 1)
     inverse = [sum(0.5 ** (k + 1) for k in range(i.bit_length()) if i >> k & 1) for i in range(n)]
     return np.stack([np.arange(n) / n, inverse], axis=1) + 0.5 / n
 

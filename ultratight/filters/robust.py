@@ -32,6 +32,7 @@ import numpy as np
 from signals.compiled import FAST_SUM, borrowing, kernel
 from ultratight.filters.adaptive import weight_at
 from ultratight.filters.conditioning import gain_matrix
+from ultratight.filters.door import whole
 from ultratight.filters.gaussian import Gaussian, Measurement, Prediction, Update, predict, update
 from ultratight.filters.rules import Rule
 
@@ -87,9 +88,8 @@ class Ishakf:
             raise ValueError(f"c2, c3, c4: {limits}, expected rising numbers above 0")
         if not 0.0 < self.c1 < math.inf:
             raise ValueError(f"c1: {self.c1}, expected a number above 0")
-        for name, value, least in (("window", self.window, 1), ("max_reject", self.max_reject, 0)):
-            if int(value) != value or value < least:
-                raise ValueError(f"{name}: {value}, expected a whole number, at least {least}")
+        whole("window", self.window, 1)
+        whole("max_reject", self.max_reject, 0)
         if self.low_side not in LOW_SIDES:
             raise ValueError(f"low_side: {self.low_side!r}, expected one of {', '.join(LOW_SIDES)}")
 

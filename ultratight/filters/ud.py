@@ -31,7 +31,8 @@ def factor_ud(cov: np.ndarray) -> np.ndarray:
     """
     P = np.ascontiguousarray(cov, dtype=np.float64)
     out = np.empty(P.shape)
-    if P.ndim != 2 or not np.isfinite(P).all() or not _is_symmetric(P) or not factor_into(P, out):
+    square = P.ndim == 2 and P.shape[0] == P.shape[1] and np.isfinite(P).all()
+    if not (square and _is_symmetric(P) and factor_into(P, out)):
         raise ValueError(
             f"covariance of {P.shape}: expected finite, symmetric and positive semi-definite"
         )
@@ -51,6 +52,8 @@ def predict_ud(factor: np.ndarray, phi: np.ndarray, q: np.ndarray) -> np.ndarray
     """
     out = np.empty(factor.shape, factor.dtype)
     phi, q = (np.ascontiguousarray(x, dtype=factor.dtype) for x in (phi, q))
+    if not phi.shape == q.shape == factor.shape:
+        raise ValueError(f"Phi, Q: shapes {phi.shape}, {q.shape}, expected {factor.shape}")
     if not predict_ud_into(factor, phi, q, out):
         raise ValueError("Phi, Q: expected finite numbers, Q positive semi-definite")
     return out

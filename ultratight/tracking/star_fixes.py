@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from signals.compiled import FAST_SUM, kernel
 from ultratight.filters.adaptive import is_semidefinite
 from ultratight.filters.conditioning import condition_on, innovation_cov, predict_into
+from ultratight.filters.door import whole
 from ultratight.filters.gaussian import LOG_2PI, Gaussian
 from ultratight.filters.multiple_model import Bank, bank_of, merge_into, normalise
 from ultratight.filters.rules import Rule, get_rule, psd_cholesky, regress, scatter
@@ -52,6 +53,7 @@ class Weighing(NamedTuple):
 
 
 BY_FLOOR = Weighing()
+_TURNED = 1e-6  # by how much C' C of a rotation may be off one
 
 
 def run_star_fixes(
@@ -83,7 +85,8 @@ def run_star_fixes(
     ------
     ValueError
         Shapes disagree, no model, a number that is not finite, a covariance that is not symmetric
-        and positive semi-definite, a rule in R^n, options out of bounds.
+        and positive semi-definite, attitudes that are no rotations, a rule in R^n, options out of
+        bounds.
     """
     P0, C, z = _array("start.cov", start.cov), _array("C_ins", C_ins), np.array(z, dtype=float)
     mean, Q, R = _array("start.mean", start.mean), _array("Q", Q), _array("R", R)
@@ -109,22 +112,23 @@ def run_star_fixes(
     rule = get_rule(rule) if isinstance(rule, str) else rule
     if rule.space == "full":
         raise ValueError(f"rule: {rule.name!r}, expected one of the projected space")
-    if not (0.0 < tau_s < math.inf and accel_tau_s > 0.0 and passes >= 1):
-        raise ValueError(
-            f"tau_s, accel_tau_s, passes: {tau_s}, {accel_tau_s}, {passes}, expected above 0"
-        )
+    if not (0.0 < tau_s < math.inf and accel_tau_s > 0.0):
+        raise ValueError(f"tau_s, accel_tau_s: {tau_s}, {accel_tau_s}, expected above 0")
+    whole("passes", passes, 1)
+    if np.abs(np.swapaxes(C, 1, 2) @ C - np.eye(3)).max() > _TURNED:
+        raise ValueError("C_ins: expected rotation matrices")
     nh = Q.shape[1]
     floor, forgetting, from_fix = weighing
-    if not (0.0 <= floor < 1.0 / nh and 0.0 < forgetting <= 1.0 and from_fix >= 0):
-        raise ValueError(
-            f"{weighing}: expected 0 <= floor < 1 / {nh}, 0 < forgetting <= 1, from_fix >= 0"
-        )
+    whole("from_fix", from_fix, 0)
+    if not (0.0 <= floor < 1.0 / nh and 0.0 < forgetting <= 1.0):
+        raise ValueError(f"{weighing}: expected 0 <= floor < 1 / {nh}, 0 < forgetting <= 1")
     bank = bank_of(Gaussian(mean, P0), np.full(nh, 1.0 / nh))
     states, models, first = (n, N_ERRORS), (n, nh), np.full(3, -1)
     x, variance, weight, nis = (np.full(s, np.nan) for s in (states, states, models, models))
     _run(
-        *bank, C, z, seen, tau_s, Q, R, rule.table(3)[0], math.exp(-tau_s / accel_tau_s), floor,
-        forgetting, from_fix, passes, x, variance, weight, nis, first,
+        *bank, C, z, seen, float(tau_s), Q, R, rule.table(3)[0], math.exp(-tau_s / accel_tau_s),
+        float(floor), float(forgetting), int(from_fix), int(passes), x, variance, weight, nis,
+        first,
     )  # fmt: skip
     return StarRun(x, variance, weight, nis, bank, Epochs(*(int(k) for k in first)))
 
