@@ -34,6 +34,7 @@ OSCILLATOR = "tcxo"
 GATE_SIGMA = 5.0
 """An innovation beyond is not believed"""
 _RATE_SIGMA_MPS = 0.05
+"""Of a Doppler from the phase of an 18 Hz loop over 0.1 s: 0.01 m/s at 45 dB-Hz, 0.06 at 30"""
 _CODE_LOOP_HZ = 1.0
 _MOST_REFUSED = 0.5
 """Share of innovations beyond the gate at which the filter rather than they is wrong"""

@@ -7,8 +7,8 @@ freedom; above the value that it exceeds with the probability ``false_alarm`` th
 which it is lowest is left out, if that is then below (Groves 17.3.1, 17.4.1).  With five there is
 no telling which.
 
-The variance of a pseudorange is that of the code loop (early minus late power free of squaring,
-Kaplan & Hegarty 8.9) and of what user range accuracy and models leave:
+The variance of a pseudorange is that of the code loop (coherent early minus late, wide band, Kaplan
+& Hegarty 8.9) and of what user range accuracy and models leave:
 
     B_L D / (2 C/N0) chip^2 + URA^2 + (half the ionosphere)^2 + (0.12 m / sin elevation)^2
 
