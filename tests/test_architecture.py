@@ -56,7 +56,7 @@ def test_packages_do_not_print() -> None:
     """Only the command line and the showcase talk; everything else returns or logs."""
     talkers = {
         "__main__.py", "acquire_commands.py", "if_commands.py", "options.py", "showcase.py",
-        "study.py", "sweep_commands.py",
+        "study.py", "sweep_commands.py", "track_commands.py",
     }  # fmt: skip
     silent = [
         path
