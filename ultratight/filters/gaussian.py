@@ -18,6 +18,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
+from signals.compiled import kernel
 from ultratight.filters.conditioning import (
     condition_on,
     gain_matrix,
@@ -230,8 +231,7 @@ def update(
         if passes == iterations:
             break
         if step_weight is not None:
-            step = measurement.A @ (posterior.mean - density.mean)
-            if float((np.abs(step) @ step_weight).max()) < 1.0:
+            if _largest_step(measurement.A, posterior.mean, density.mean, step_weight) < 1.0:
                 break
         density = Gaussian(posterior.mean, posterior.cov)
     return posterior
@@ -295,3 +295,24 @@ def _bare(prior: Gaussian, update: Update) -> Update:
     return update._replace(
         mean=prior.mean + K @ nu, cov=0.5 * (cov + cov.T), nis=float(nu @ np.linalg.solve(S, nu))
     )
+
+
+# ---------------------------------------------------------------------------------- kernels
+
+
+@kernel
+def _largest_step(A: np.ndarray, x: np.ndarray, xl: np.ndarray, weight: np.ndarray) -> float:
+    """max over blocks i of sum_j weight_j |A_i (x - xl)|_j; NaN where one is NaN."""
+    largest = 0.0
+    for i in range(A.shape[0]):
+        size = 0.0
+        for j in range(A.shape[1]):
+            step = 0.0
+            for a in range(x.size):
+                step += A[i, j, a] * (x[a] - xl[a])
+            size += weight[j] * abs(step)
+        if not size <= largest:
+            largest = size
+            if size != size:
+                break
+    return largest

@@ -187,8 +187,8 @@ class JumpTriggered:
         loaded = prediction._replace(q=self._q(prediction))
         bank, updates = self._update(bank, loaded, measurement)
         if measurement.z.size and o.gate < math.inf:
-            heaviest = updates[int(np.argmax(bank.log_weight))]
-            windowed, single = self.score.watch(loaded, heaviest)
+            j = int(bank.log_weight.argmax()) if len(updates) > 1 else 0
+            windowed, single = self.score.watch(loaded, updates[j])
             if self._fires(windowed, single):
                 self.notes.append(("reopened", f"score test {max(windowed, single):.0f}"))
                 self.score.reset()
@@ -228,12 +228,10 @@ class JumpTriggered:
         if o.unusual and df < self._usual(change):
             w = 0.0
         if w == 0.0:
+            if not several:
+                return bank
             decided = bank.log_weight.max() > math.log(DECIDED_ABOVE)
-            return (
-                _bank_of_one(merged(bank))
-                if several and (decided or self.age > LONGEST_SET)
-                else bank
-            )
+            return _bank_of_one(merged(bank)) if decided or self.age > LONGEST_SET else bank
         if w > STEP:
             self.notes.append(("opened", f"specific force changed by {df:.1f} m/s2"))
             self.score.reset()

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from signals.compiled import borrowing
 from ultratight.filters.gaussian import Gaussian, Measurement, Prediction
-from ultratight.filters.multiple_model import has_phases
 from ultratight.filters.quadrature import gauss_hermite
 from ultratight.filters.rules import Rule
 
@@ -40,9 +40,16 @@ def radians_per(measurement: Measurement, prediction: Prediction) -> np.ndarray:
 def is_wide(prior: Gaussian, prediction: Prediction, step_weight: np.ndarray) -> bool:
     """May a phase turn, or start, beyond what three points see?  Weights: `radians_per` / 0.15."""
     layout = prediction.layout
-    cd = layout.cd.start
-    if prior.cov[cd, cd] * step_weight[-1] ** 2 > 1.0:
-        return True
-    if not has_phases(layout):
-        return False
-    return bool(prior.cov.diagonal()[layout.phase].max() * (0.5 * step_weight[1]) ** 2 > 1.0)
+    return _is_wide(prior.cov, layout.cd.start, layout.phase.start, layout.phase.stop, step_weight)
+
+
+# ---------------------------------------------------------------------------------- kernels
+
+
+@borrowing
+def _is_wide(cov: np.ndarray, cd: int, first: int, last: int, step_weight: np.ndarray) -> bool:
+    rate, phase = step_weight[step_weight.size - 1], 0.5 * step_weight[1]
+    wide = cov[cd, cd] * (rate * rate) > 1.0
+    for i in range(first, last):
+        wide |= cov[i, i] * (phase * phase) > 1.0
+    return bool(wide)

@@ -58,7 +58,7 @@ class Rule:
         nb, d, _ = A.shape
         k = measurement.R.shape[1]
         if self.points is None:
-            zbar, J = measurement.h_jacobian(_project_means(mean, A))
+            zbar, J = measurement.h_jacobian(project_means(mean, A))
             if zbar.shape != (nb, k) or J.shape != (nb, k, d):
                 raise ValueError(
                     f"h_jacobian: shapes {zbar.shape}, {J.shape}, expected {(nb, k)}, {(nb, k, d)}"
@@ -68,13 +68,13 @@ class Rule:
             return Linearisation(zbar.reshape(-1), H, np.zeros((nb, k, k)))
         projected = self.space == "projected"
         table, _ = self.table(d if projected else A.shape[2])
-        place = _place_projected if projected else _place_full
+        place = place_projected if projected else _place_full
         Y, root = place(mean, cov, A, table)
         Z = measurement.h(Y)
         if Z.shape != (nb, table.shape[1], k):
             raise ValueError(f"h: shape {Z.shape}, expected {(nb, table.shape[1], k)}")
         if projected:
-            return Linearisation(*_regress_projected(A, root, table, Z))
+            return Linearisation(*regress_projected(A, root, table, Z))
         return Linearisation(*_regress_full(root, table, Z))
 
     def table(self, d: int) -> tuple[np.ndarray, int]:
@@ -288,7 +288,7 @@ def chain(G: np.ndarray, A: np.ndarray, H: np.ndarray) -> None:
 
 
 @kernel
-def _project_means(mean: np.ndarray, A: np.ndarray) -> np.ndarray:
+def project_means(mean: np.ndarray, A: np.ndarray) -> np.ndarray:
     """y (nb, d) = A x of all blocks."""
     y = np.empty(A.shape[:2])
     for b in range(A.shape[0]):
@@ -297,7 +297,7 @@ def _project_means(mean: np.ndarray, A: np.ndarray) -> np.ndarray:
 
 
 @kernel
-def _place_projected(
+def place_projected(
     mean: np.ndarray, cov: np.ndarray, A: np.ndarray, table: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Points Y (nb, p, d) and roots L (nb, d, d) of A_i P A_i'."""
@@ -337,7 +337,7 @@ def _place_full(
 
 
 @kernel
-def _regress_projected(
+def regress_projected(
     A: np.ndarray, L: np.ndarray, table: np.ndarray, Z: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """SLR of every block: zbar (m,), H (m, n) = G A, Omega (nb, k, k)."""

@@ -17,7 +17,9 @@ import math
 import numpy as np
 
 from signals.compiled import borrowing, kernel
+from ultratight.filters.conditioning import condition_on
 from ultratight.filters.gaussian import Measurement
+from ultratight.filters.rules import chain, place_projected, project_means, regress_projected
 from ultratight.tracking.code_model import (
     CHIP,
     HALF,
@@ -28,6 +30,7 @@ from ultratight.tracking.code_model import (
     slope,
 )
 from ultratight.tracking.half_bits import PROMPT, Bits
+from ultratight.tracking.measurements import NO_BITS
 from ultratight.tracking.tap_model import TapModel
 
 K = 5
@@ -55,6 +58,10 @@ class HalfBitPhases:
         _tangent(y, self.params, z, J)
         return z, J
 
+    def condition(self, inner: int, *arrays: np.ndarray) -> float:
+        """The update in one call, see `ultratight.filters.gaussian.CompiledModel`."""
+        return _condition(self.params, *arrays)
+
 
 def kept_apart(
     coherent: Measurement,
@@ -71,17 +78,50 @@ def kept_apart(
     if not isinstance(model, TapModel):
         raise TypeError(f"half-bit prompts: h is {type(model).__name__}, expected a TapModel")
     nb = bits.channel.size
-    data = np.ones(nb)
-    if data_bits is not None:
-        sent = ~pilot[bits.channel]
-        data[sent] = data_bits[bits.channel[sent], bits.number[sent] - first_bit]
     z, R = np.empty((nb, K)), np.zeros((nb, K, K))
-    _keep_apart(bits.iq, data, coherent.z, coherent.R, z, R)
+    _keep_apart(
+        bits.iq, bits.channel, bits.number, pilot, NO_BITS if data_bits is None else data_bits,
+        first_bit, coherent.z, coherent.R, z, R,
+    )  # fmt: skip
     apart = HalfBitPhases(model.params)
     return coherent._replace(z=z, R=R, h=apart, h_jacobian=apart.jacobian)
 
 
 # ---- kernels ---------------------------------------------------------------------------------
+
+
+@kernel
+def _condition(
+    params: np.ndarray,
+    mean: np.ndarray,
+    cov: np.ndarray,
+    lin_mean: np.ndarray,
+    lin_cov: np.ndarray,
+    z: np.ndarray,
+    A: np.ndarray,
+    R: np.ndarray,
+    table: np.ndarray,
+    nu: np.ndarray,
+    H: np.ndarray,
+    noise: np.ndarray,
+    m1: np.ndarray,
+    P1: np.ndarray,
+) -> float:
+    """`Rule.linearise` at (lin_mean, lin_cov), then condition; returns the NIS."""
+    nb, p = A.shape[0], table.shape[1]
+    if p:
+        Y, root = place_projected(lin_mean, lin_cov, A, table)
+        Z = np.empty((nb, p, K))
+        _evaluate(Y, params, Z, np.empty((K, 3)))
+        zbar, slope, Omega = regress_projected(A, root, table, Z)
+        H[:], noise[:] = slope, Omega
+    else:
+        at, J = np.empty((nb, K)), np.empty((nb, K, 3))
+        _tangent(project_means(lin_mean, A), params, at, J)
+        chain(J, A, H)
+        zbar = at.reshape(-1)
+        noise[:] = 0.0
+    return condition_on(mean, cov, lin_mean, zbar, H, z, R, nu, noise, m1, P1)
 
 
 @kernel
@@ -100,16 +140,24 @@ def _tangent(y: np.ndarray, params: np.ndarray, z: np.ndarray, J: np.ndarray) ->
 @kernel
 def _keep_apart(
     iq: np.ndarray,
-    data: np.ndarray,
+    channel: np.ndarray,
+    number: np.ndarray,
+    pilot: np.ndarray,
+    data_bits: np.ndarray,
+    first_bit: int,
     whole_z: np.ndarray,
     whole_R: np.ndarray,
     z: np.ndarray,
     R: np.ndarray,
 ) -> None:
     """z (nb, 5) and the diagonal of R (nb, 5, 5), which is zero elsewhere."""
-    for b in range(data.size):
+    for b in range(channel.size):
+        i = channel[b]
+        data = 1.0
+        if data_bits.size > 0 and not pilot[i]:
+            data = float(data_bits[i, number[b] - first_bit])
         variance = 2.0 * whole_R[b, 0, 0]  # that of the whole bit is 1 / (2 A^2)
-        scale = data[b] * math.sqrt(variance)
+        scale = data * math.sqrt(variance)
         for h in range(2):
             prompt = iq[b, h, PROMPT] * scale
             z[b, 2 * h], z[b, 2 * h + 1] = prompt.real, -prompt.imag
