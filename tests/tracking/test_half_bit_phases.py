@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from ultratight.filters.gaussian import Measurement
+from ultratight.filters.gaussian import Gaussian, Measurement, update
+from ultratight.filters.rules import get_rule
 from ultratight.tracking.code_model import CHIP, HALF, LAG1, SPACING, STEPS, TABLE, WAVELENGTH
 from ultratight.tracking.half_bit_phases import HalfBitPhases, kept_apart
 from ultratight.tracking.half_bits import Bits
@@ -90,3 +91,25 @@ def test_prompts_with_their_data_and_noise(params):
     np.testing.assert_allclose(found.R[1], np.diag([1 / 90.0] * 4 + [0.02]))
     with pytest.raises(TypeError, match="h is function, expected a TapModel"):
         kept_apart(whole._replace(h=lambda y: y), bits, np.ones(2, bool), None, 0)
+
+
+@pytest.mark.parametrize("rule", ["linearised", "gh3", "gh7", "unscented-projected"])
+def test_compiled_update_is_that_of_the_plain_function(params, rule):
+    """The same h without its compiled update goes through `Rule.linearise`: the same figures."""
+    rng = np.random.default_rng(5)
+    model, n = HalfBitPhases(params), 5
+    A = rng.standard_normal((2, 3, n)) * np.array([20.0, 0.02, 1.0])[:, None]
+    root = rng.standard_normal((n, n))
+    prior = Gaussian(0.1 * rng.standard_normal(n), root @ root.T / n)
+    R = np.tile(np.diag([0.02, 0.02, 0.02, 0.02, 0.1]), (2, 1, 1))
+    seen = Measurement(
+        model(points(6, p=1))[:, 0], A, R, model, model.jacobian, np.arange(2)
+    )  # fmt: skip
+    plain = seen._replace(h=lambda y: model(y))
+    for passes in (1, 3):
+        found = update(prior, seen, get_rule(rule), passes)
+        expected = update(prior, plain, get_rule(rule), passes)
+        for name in ("mean", "cov", "innovation", "nis", "H", "noise"):
+            np.testing.assert_allclose(
+                getattr(found, name), getattr(expected, name), rtol=1e-10, atol=1e-12
+            )

@@ -230,9 +230,9 @@ def update(
         posterior = _posterior(prior, density, measurement, rule, passes)
         if passes == iterations:
             break
-        if step_weight is not None:
-            if _largest_step(measurement.A, posterior.mean, density.mean, step_weight) < 1.0:
-                break
+        x, xl = posterior.mean, density.mean
+        if step_weight is not None and _largest_step(measurement.A, x, xl, step_weight) < 1.0:
+            break
         density = Gaussian(posterior.mean, posterior.cov)
     return posterior
 
