@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 Label = Literal["L1CA", "L1CD", "L1CP", "L2CM", "L2CL", "L5I", "L5Q", "E5AI", "E5AQ", "E1B", "E1C"]
 """Signals of the satellites that there are orbits for, see `signals.codes`"""
 ROW_S = 0.02
-"""Scalar closures keep a row this often"""
+"""Closures of 1 ms epochs keep a row this often"""
 NODE_S = 0.005
 """Spacing of the nodes of the truth"""
 LARGEST_FAULT_M = 1e5
@@ -45,6 +45,11 @@ def contradictions(s: Scenario) -> Found:
             f"less than half the sample rate ({rate / 2:g}) in magnitude",
         )
     tight = receiver.closure == "ultra-tight"
+    if not _is_multiple(receiver.vector.update_s, ROW_S):
+        update = f"{receiver.vector.update_s:g}"
+        refuse("receiver.vector.update_s", update, f"a multiple of {ROW_S:g} s, a data bit")
+    if receiver.closure in ("vdll", "vdfll") and receiver.loop == "kalman":
+        refuse("receiver.loop receiver.closure", '"kalman"', '"filters" in a vector closure')
     if not tight and not _is_multiple(s.duration_s, ROW_S):
         refuse("duration_s", f"{s.duration_s:g}", f"a multiple of {ROW_S:g} s, a data bit")
     if tight and not _is_multiple(s.duration_s, epoch):

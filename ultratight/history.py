@@ -31,6 +31,13 @@ STATE = np.array(
     + [f"accel_scale_factor_{axis}" for axis in ECEF]
 )
 """The states of the covariance: 17, or 20 with the scale factors"""
+VECTOR_STATE = np.array(
+    [f"{name}_{axis}" for name in ("r", "v") for axis in ECEF]
+    + ["clock_m", "clock_rate"]
+    + [f"a_{axis}" for axis in ECEF]
+)
+"""The states of the vector closures: 8, or 11 with the acceleration"""
+_OF_VECTOR = (VECTOR_STATE, "error of the vector solution, true minus estimate, ECEF")
 LABELS = {
     "xyz": (ECEF, "ECEF axis"),
     "row": (ECEF, "ECEF axis"),
@@ -38,6 +45,8 @@ LABELS = {
     "axis": (BODY, "body axis"),
     "state": (STATE, "error state, true minus estimate, ECEF; biases in body axes"),
     "state_2": (STATE, "error state, true minus estimate, ECEF; biases in body axes"),
+    "vector_state": _OF_VECTOR,
+    "vector_state_2": _OF_VECTOR,
 }
 """What stands along a dimension"""
 

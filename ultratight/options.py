@@ -24,7 +24,7 @@ FilterName = Annotated[
     str | None, typer.Option("--filter", metavar="NAME", help="see `ultratight filters`")
 ]
 Closure = Annotated[
-    str | None, typer.Option(metavar="NAME", help="ultra-tight, scalar or scalar-ins")
+    str | None, typer.Option(metavar="NAME", help="ultra-tight, vdfll, vdll, scalar or scalar-ins")
 ]
 Measurement = Annotated[str | None, typer.Option(metavar="NAME", help="coherent or differential")]
 Correlator = Annotated[

@@ -295,8 +295,8 @@ def _telling_channel(run: Run) -> str:
 
 
 def _locked(run: Run, channel: str) -> list[tuple[float, float]]:
-    """Spans (start, stop) in lock; a scalar closure begins without, the ultra-tight with it."""
-    begins = not str(run.scenario["receiver"]["closure"]).startswith("scalar")
+    """Spans (start, stop) in lock; where carrier loops pull in first, a run begins without."""
+    begins = run.scenario["receiver"]["closure"] in ("ultra-tight", "vdfll")
     mine = [event for event in run.events if event.channel in (channel, "")]
     return _spans(run, mine, (REGAINED, LOCKED), (LOST, DIVERGED), begins)
 

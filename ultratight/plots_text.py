@@ -7,7 +7,8 @@ from collections.abc import Sequence
 
 from ultratight.results import Run
 
-CLOSURES = {"scalar-ins": "scalar-INS"}
+CLOSURES = {"scalar-ins": "scalar-INS", "vdll": "VDLL", "vdfll": "VDFLL"}
+WITHOUT_IMU = {"scalar", "vdll", "vdfll"}
 LOST_LOCK = " channels lost lock"
 LINE = 134
 """Characters in a line of the title"""
@@ -36,7 +37,7 @@ def title(runs: Sequence[Run], labels: Sequence[str], controls: Sequence[Run] = 
         who = f"ultra-tight, {s.get('measurement')} ({who})"
     taps = TAPS.get(str(s.get("correlator")), "")
     how = ", ".join(part for part in (who, taps, f"seed {first.seed}") if part)
-    if closures != ["scalar"]:  # which has no IMU
+    if not WITHOUT_IMU.issuperset(closures):
         how += f"; accelerometer scale-factor error {_scale_factor(first)}"
         if any(_scale_factor(control) != _scale_factor(first) for control in controls):
             how += " (the cause)"

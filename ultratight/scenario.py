@@ -19,7 +19,17 @@ from ultratight import config, consistency, named_files
 from ultratight.config import InvalidInput, Unsupported
 from ultratight.consistency import SPEED_LIMIT_MPS, Label
 from ultratight.loop_keys import LoopKeys
-from ultratight.tables import Atmosphere, Channel, Dbhz, Imu, NotNegative, Positive, Prn, Table
+from ultratight.tables import (
+    Atmosphere,
+    Channel,
+    Dbhz,
+    Imu,
+    NotNegative,
+    Positive,
+    Prn,
+    Table,
+    Vector,
+)
 
 __all__ = [
     "PRESETS",
@@ -126,8 +136,8 @@ class ProcessNoise(Table):
 class Receiver(LoopKeys):
     """Who closes the loop, with which filter and measurement, and what it knows."""
 
-    closure: Literal["ultra-tight", "scalar", "scalar-ins"] = "ultra-tight"
-    """Who closes the loop: the filter, channel loops, or channel loops with INS aiding"""
+    closure: Literal["ultra-tight", "scalar", "scalar-ins", "vdll", "vdfll"] = "ultra-tight"
+    """Who closes the loop: INS and filter, channel loops, those with INS aiding, vector loops"""
     filter: str = "fiqkf-r"
     """Ultra-tight only; see `ultratight filters`, or your own: FILE.py:NAME, package.module:NAME"""
     states: Literal[17, 20] | None = None
@@ -141,6 +151,7 @@ class Receiver(LoopKeys):
     """A coherent receiver starts with differential measurements and changes over at this time"""
     fall_back: bool = True
     """To differential measurements on loss of lock, and back after ``hand_over_s``"""
+    vector: Vector = Vector()
     knows: Knows = Knows()
     process_noise: ProcessNoise = ProcessNoise()
 

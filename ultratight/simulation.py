@@ -21,6 +21,7 @@ from ultratight.tracking.knows import Knows
 from ultratight.tracking.rows import Fields, Rows
 from ultratight.tracking.scalar import Scalar, ScalarSettings
 from ultratight.tracking.ultra_tight import Settings, UltraTight
+from ultratight.tracking.vector import Vector, VectorSettings
 from ultratight.world import World
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ PROGRESS_S = 0.5
 
 
 class Closure(Protocol):
-    """Who closes the loop: scalar, INS-aided scalar or ultra-tight."""
+    """Who closes the loop: scalar, INS-aided scalar, vector or ultra-tight."""
 
     events: list[tuple[float, int, str, str]]
     """(t_s, channel or -1, kind, reason)"""
@@ -181,6 +182,11 @@ def new_closure(scenario: Scenario, knows: Knows, filter: Filter | None = None) 
     if filter is not None:
         raise Unsupported(f"receiver.closure: {r.closure!r} has no filter to replace")
     scalar = ScalarSettings(**{name: getattr(r, name) for name in ScalarSettings._fields})
+    if r.closure in ("vdll", "vdfll"):
+        vector = VectorSettings(
+            carrier=r.closure == "vdfll", fall_back=r.fall_back, **r.vector.model_dump()
+        )
+        return Vector(knows, vector, scalar, spacing)
     return Scalar(knows, scalar, spacing, piece_s, aided=r.closure == "scalar-ins")
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -75,6 +75,24 @@ class Atmosphere(Table):
     """Klobuchar's model with the coefficients of the constellation (IS-GPS-200 20.3.3.5.2.5)"""
     troposphere: bool = False
     """Saastamoinen's zenith delay in the standard atmosphere, mapped to the elevation"""
+
+
+class Vector(Table):
+    """Closures vdll and vdfll: the solution that steers all channels, from GNSS alone.
+
+    ``receiver.fall_back`` lets a channel that contradicts the others go on by its own loops.
+    """
+
+    states: Literal[8, 11] = 11
+    """Position, velocity, clock bias and drift; 11: acceleration too"""
+    update_s: Annotated[float, Field(ge=0.02, le=0.2)] = 0.02
+    """How often the solution is updated and the NCOs are steered: a multiple of a data bit"""
+    acceleration_mps2_sqrt_hz: Annotated[float, Field(gt=0.0, le=1e4)] = 3.0
+    """8 states: density of the white acceleration, each axis"""
+    jerk_mps3_sqrt_hz: Annotated[float, Field(gt=0.0, le=1e5)] = 20.0
+    """11 states: density of the white jerk, each axis"""
+    acceleration_sigma_mps2: Annotated[float, Field(gt=0.0, le=1e3)] = 10.0
+    """11 states: sigma of the first acceleration, which starts at zero"""
 
 
 class Imu(Table):
