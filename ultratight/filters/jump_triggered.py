@@ -92,6 +92,7 @@ class JumpOptions:
     unusual: float = 0.0  # no trigger below so many medians of the second difference of the force
     wide: bool = True  # more points where phase or rate may be off by a good part of a radian
     half_bits: bool = False  # asks for the half-bit prompts kept apart
+    cold: bool = False  # the first force that is seen counts as a change from rest
     exact: bool = False  # these by their exact mean where a step or a feedback turns them
     trigger: bool = True
     hypotheses: bool = True  # False: all blocks opened in one Gaussian
@@ -126,7 +127,7 @@ J1 = replace(JTQ, hypotheses=False)
 IO = replace(JTQ, trigger=False, hypotheses=False)
 JTQ_R = replace(
     JTQ_E, transverse=0.1, prior=(0.3, 0.3, 0.2, 0.2), ramp=0.3, unrest=8.0, load=0.005,
-    unusual=4.0, exact=True,
+    unusual=4.0, exact=True, cold=True,
 )  # fmt: skip
 
 
@@ -221,6 +222,8 @@ class JumpTriggered:
     def _open(self, bank: Bank, prediction: Prediction) -> Bank:
         """The bank with the blocks opened that the change of force casts doubt on."""
         o, several = self.options, bank.log_weight.size > 1
+        if o.cold and prediction.epoch == 0:
+            return self._from_rest(bank, prediction)
         # the receiver's force is free of the bias, whose estimate has just moved
         change = prediction.df_b + self.fed_bias
         df = math.hypot(*change.tolist()) if o.trigger else 0.0
@@ -244,6 +247,23 @@ class JumpTriggered:
         else:
             bank = mixed(bank, self.transition)
         return self._widened(bank, prediction, w, change / df, self.share)
+
+    def _from_rest(self, bank: Bank, prediction: Prediction) -> Bank:
+        """A flight that begins under load: calibrated at rest, the sensor errs by all of e(f)."""
+        o = self.options
+        w = self._load(prediction) / o.reference_mps2
+        if not (o.trigger and w > 0.0):
+            return bank
+        along = prediction.f_b / math.hypot(*prediction.f_b.tolist())
+        cov = bank.cov.copy()
+        for j in range(len(cov)):
+            widen(cov[j], prediction, (o.accel_mps2**2 * w, 0.0, 0.0, 0.0), along, o.transverse)
+        return bank._replace(cov=cov)
+
+    def _load(self, prediction: Prediction) -> float:
+        """What the specific force is away from that at rest [m/s2]."""
+        force = math.hypot(*prediction.f_b.tolist())
+        return max(abs(force - STANDARD_GRAVITY) - 1.0, 0.0)
 
     def _usual(self, change: np.ndarray) -> float:
         """Changes of force below are vibration, by the median of what half a second has shown.
@@ -277,8 +297,7 @@ class JumpTriggered:
 
     def _q(self, prediction: Prediction) -> np.ndarray:
         """Q with the unrest of the accelerometer bias, under load and after the score test."""
-        force = math.hypot(*prediction.f_b.tolist())
-        load = max(abs(force - STANDARD_GRAVITY) - 1.0, 0.0) / self.options.reference_mps2
+        load = self._load(prediction) / self.options.reference_mps2
         density = (self.options.load * load) ** 2
         if self.since_fire * prediction.T < self.options.unrest_s:
             density += self.options.unrest**2
