@@ -95,7 +95,7 @@ class Flight:
         for k in range(epochs):
             df = np.zeros(3)
             if k == jump:
-                df[0] = self.df
+                df[0] = self.df if k else 0.0  # the first epoch shows no change
                 self.x[9] += self.hidden["accel_bias"]
                 self.x[3] += self.hidden["v"]
                 self.x[16] += self.hidden["cd"]
@@ -126,6 +126,19 @@ def test_nothing_is_opened_in_quiet_flight(make):
     plain.fed_bias = np.zeros(3)
     np.testing.assert_allclose(mine, Flight(make, plain, df=0.0).fly(20), atol=1e-12)
     assert jtq.bank is None
+
+
+def test_a_flight_that_begins_under_load_doubts_its_bias(make):
+    """A bias of one sigma that came with the load is found; at rest nothing is opened."""
+    cold = make_filter("jtq", several=replace(QUIET, cold=True))
+    flight = Flight(make, cold, bias=2.0)
+    flight.fly(50, jump=0)
+    assert cold.notes == []
+    assert cold.bank is None
+    assert abs(flight.x[9]) < 4.0 * np.sqrt(flight.cov[9, 9]) < 0.2
+    at_rest = Flight(make, make_filter("jtq", several=replace(QUIET, cold=True)), df=0.0)
+    plain = Flight(make, make_filter("jtq", several=QUIET), df=0.0)
+    np.testing.assert_array_equal(at_rest.fly(10), plain.fly(10))
 
 
 def test_four_hypotheses_after_a_step_and_one_when_it_is_over(make):

@@ -223,7 +223,7 @@ class JumpTriggered:
         """The bank with the blocks opened that the change of force casts doubt on."""
         o, several = self.options, bank.log_weight.size > 1
         if o.cold and prediction.epoch == 0:
-            return self._from_rest(bank, prediction)
+            bank = self._from_rest(bank, prediction)
         # the receiver's force is free of the bias, whose estimate has just moved
         change = prediction.df_b + self.fed_bias
         df = math.hypot(*change.tolist()) if o.trigger else 0.0
