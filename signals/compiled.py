@@ -7,7 +7,7 @@ source and of *all* sources that it imports, directly or not, from its own packa
 Where `signals.cpu` is among them, so is the path in force: paths never mix.
 
 A kernel gives the same bits whether it was compiled in this process or loaded, whatever else the
-process ran before.  numba's ``njit`` does not promise that, for two reasons:
+process ran before.  numba's ``njit`` does not promise that, for three reasons:
 
 * numba links a copy of each called kernel into its caller and optimises it again there, as a weak
   symbol.  The first copy that a process loads serves all callers: in a compiling process the
@@ -16,6 +16,9 @@ process ran before.  numba's ``njit`` does not promise that, for two reasons:
   each kernel runs its own (`_ClosedLibrary`).
 * Options that a kernel leaves open are taken from whichever caller happens to compile it first, and
   go into the cache with it.  Here none is left open (`_OPTIONS`).
+* numba's own helpers, such as the product of two complex numbers, are compiled once with the
+  fast-math flags of the kernel that first needs them, and then serve all.  Here kernels share them
+  only with kernels of the same flags (`_Close`).
 """
 
 from __future__ import annotations
@@ -171,9 +174,14 @@ class _ClosedLibrary(JITCodeLibrary):
                 function.linkage = Linkage.private
 
 
+_helpers: dict[tuple[str, bool], dict[Any, Any]] = {}
+"""Compiled helpers of numba's lowering, by the flags of the kernels that they serve"""
+
+
 @register_pass(mutates_CFG=False, analysis_only=False)
 class _Close(FunctionPass):
-    """Give the kernel its library; numba's lowering makes one only where there is none."""
+    """Give the kernel the helpers of its flags, and its library, which numba's lowering makes only
+    where there is none."""
 
     _name = "close_library"
 
@@ -183,6 +191,9 @@ class _Close(FunctionPass):
     def run_pass(self, state: Any) -> bool:
         state.library = _ClosedLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
         state.library.enable_object_caching()
+        flags = str(sorted(state.flags.fastmath.flags)), bool(state.flags.nrt)
+        own = _helpers.setdefault(flags, {})
+        state.targetctx = state.targetctx.subtarget(cached_internal_func=own)
         return False
 
 

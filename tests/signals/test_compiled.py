@@ -154,3 +154,46 @@ def test_a_kernel_does_not_take_the_options_of_the_caller_that_compiles_it(tree:
         f"x = np.array({x}); loose(x); print(total(x))"
     )
     assert float(process(tree, script)[0]) == in_order
+
+
+HELPERS = """
+from signals.compiled import FAST_SUM, borrowing
+
+
+@borrowing
+def turned(x, y):
+    z = x[0]
+    for i in range(1, x.size):
+        z = z * x[i] + y[i] * x[i]
+    return z
+
+
+@borrowing(fastmath=FAST_SUM)
+def turned_loosely(x, y):
+    z = x[0]
+    for i in range(1, x.size):
+        z = z * x[i] + y[i] * x[i]
+    return z
+"""
+"""A product of complex numbers, which numba compiles apart, in kernels with and without flags"""
+
+
+def test_what_numba_compiles_for_a_kernel_does_not_depend_on_the_kernel_before_it(
+    tree: Path,
+) -> None:
+    """Bits of a kernel compiled alone, after another in its process, after another was cached."""
+    (tree / "foreign/helpers.py").write_text(HELPERS)
+    prepare = (
+        "import numpy as np; from foreign.helpers import *\n"
+        "r = np.random.default_rng(1); y = 1e3 + r.standard_normal(1001)\n"
+        "x = np.exp(1j * y)\n"
+    )
+    first, show = "turned_loosely(x, y)", "print(np.array(turned(x, y)).tobytes().hex())"
+    alone = process(tree, prepare + show)
+    shutil.rmtree(tree / "cache")
+    after = process(tree, f"{prepare}{first}\n{show}")
+    shutil.rmtree(tree / "cache")
+    process(tree, f"{prepare}{first}")
+    cached = process(tree, prepare + show)
+    assert len(alone[0]) == 32
+    assert alone == after == cached
