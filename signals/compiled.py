@@ -4,7 +4,8 @@ numba's disk cache notices a change in the file of a function, not in a function
 from another module.  The cache folder of a module's kernels is therefore keyed by a hash of its
 source and of *all* sources that it imports, directly or not, from its own package and from
 `signals`: edited code never meets an old binary, and an edit elsewhere compiles nothing anew.
-Where `signals.cpu` is among them, so is the path in force: paths never mix.
+Where `signals.cpu` is among them, so is the path in force: paths never mix.  Nothing else counts:
+the same sources in another folder find the same binaries (`_Cache`).
 
 A kernel gives the same bits whether it was compiled in this process or loaded, whatever else the
 process ran before.  numba's ``njit`` does not promise that, for three reasons:
@@ -35,10 +36,11 @@ from collections.abc import Callable
 from functools import cache, partial
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numba
 from llvmlite.binding import Linkage
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import FunctionPass, PassManager, register_pass
@@ -85,7 +87,7 @@ def cache_is_writable() -> bool:
 @cache
 def _cache_dir(module: str) -> str | None:
     """Folder for the kernels of a module; None where nothing can be written."""
-    digest = hashlib.sha256(f"{numba.__version__} {sys.version}".encode())
+    digest = hashlib.sha256(f"{numba.__version__} {sys.version} {module}".encode())
     sources = _sources(module)
     if not sources:
         return None  # typed into a console: no file to tell versions apart by
@@ -164,6 +166,38 @@ def _prune(root: Path) -> None:
             shutil.rmtree(other, ignore_errors=True)
 
 
+class _Locator(_CacheLocator):
+    """Where a function's binaries lie; numba's own locators go by path and age of its file."""
+
+    def __init__(self, module: str, line: int) -> None:
+        self._folder, self._line = _cache_dir(module), line
+
+    def get_cache_path(self) -> str | None:
+        return self._folder
+
+    def get_source_stamp(self) -> str:
+        return ""  # the folder's name says it all
+
+    def get_disambiguator(self) -> str:
+        return str(self._line)
+
+    @classmethod
+    def from_function(cls, py_func: Any, py_file: str) -> _Locator:
+        return cls(py_func.__module__, py_func.__code__.co_firstlineno)
+
+
+class _Stored(CompileResultCacheImpl):
+    """What numba stores, where we say."""
+
+    _locator_classes: ClassVar = [_Locator]
+
+
+class _Cache(FunctionCache):
+    """numba's cache of a function, by the text of its sources alone."""
+
+    _impl_class = _Stored
+
+
 class _ClosedLibrary(JITCodeLibrary):
     """Machine code of one kernel, which runs its own copies of the kernels that it calls."""
 
@@ -215,16 +249,11 @@ def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     """
     if function is None:
         return lambda f: kernel(f, **options)
-    folder = _cache_dir(function.__module__)
-    options = _OPTIONS | {"cache": folder is not None, "pipeline_class": _Compiler} | options
-    # numba reads its global setting when a function is decorated: set it for that moment only, so
-    # that a user's own kernels keep their own cache.
-    before = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = folder or before
-    try:
-        return numba.njit(**options)(function)
-    finally:
-        numba.config.CACHE_DIR = before
+    options = _OPTIONS | {"pipeline_class": _Compiler} | options
+    compiled = numba.njit(**options)(function)
+    if _cache_dir(function.__module__) is not None and hasattr(compiled, "enable_caching"):
+        compiled._cache = _Cache(function)  # what `enable_caching` does, with our locator
+    return compiled
 
 
 borrowing: Any = partial(kernel, _nrt=False)

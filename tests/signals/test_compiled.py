@@ -110,6 +110,13 @@ def test_an_edit_two_modules_away_is_compiled_in_and_one_elsewhere_is_not(tree: 
     assert twice(tree) == (5.0, 0, 1)
 
 
+def test_the_same_sources_in_another_folder_find_what_was_compiled(tree: Path) -> None:
+    assert twice(tree) == (3.0, 0, 1)
+    moved = tree.parent / "moved"
+    shutil.copytree(tree, moved, copy_function=shutil.copy)  # files as young as a new clone's
+    assert twice(moved) == (3.0, 1, 0)
+
+
 def test_a_damaged_cache_is_compiled_anew(tree: Path) -> None:
     twice(tree)
     damaged = [path for path in (tree / "cache").rglob("*") if path.is_file()]
