@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from importlib import import_module
+from pathlib import Path
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import pytest
+
+STUDIES = Path(__file__).parents[1] / "studies"
 
 # A shell's background job ignores SIGINT, and its children would: what Ctrl-C does is tested.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -31,3 +36,11 @@ def say(capsys: pytest.CaptureFixture[str]) -> Callable[..., Said]:
         return Said(code, *capsys.readouterr())
 
     return call
+
+
+@pytest.fixture(scope="module")
+def studies() -> Iterator[Callable[..., SimpleNamespace]]:
+    """Import what studies are made of, ``name=module``; their folder is on no path but theirs."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(STUDIES)
+        yield lambda **named: SimpleNamespace(**{k: import_module(v) for k, v in named.items()})

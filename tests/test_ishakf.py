@@ -2,24 +2,18 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
 
-STUDIES = Path(__file__).parents[1] / "studies"
 
-
-@pytest.fixture
-def study(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
-    """The script, and the data that it stands on; their folder is on no path but theirs."""
-    monkeypatch.syspath_prepend(STUDIES)
-    import ishakf
-    from common import ballistic_range, ledger
-
-    return SimpleNamespace(script=ishakf, range=ballistic_range, ledger=ledger)
+@pytest.fixture(scope="module")
+def study(studies):
+    return studies(
+        range="common.ballistic_range", cells="common.range_cells",
+        measures="common.range_measures", claims="common.range_claims",
+        targets="common.range_targets", ledger="common.ledger",
+    )  # fmt: skip
 
 
 def test_motion_noise_and_outliers_are_as_described(study) -> None:
@@ -77,11 +71,11 @@ def test_known_noise_in_pieces_is_the_plain_filter_where_it_is_constant(study) -
 
 
 def test_threads_and_company_change_no_bit(study, monkeypatch) -> None:
-    cells = study.script.cells("low")
-    monkeypatch.setattr(study.script, "cells", lambda _: {n: cells[n] for n in ("V2", "V4")})
-    both = study.script.fly_group("low", 2, 2)
-    monkeypatch.setattr(study.script, "cells", lambda _: {"V4": cells["V4"]})
-    alone = study.script.fly_group("low", 2, 1)
+    cells = study.cells.cells("low")
+    monkeypatch.setattr(study.cells, "cells", lambda _: {n: cells[n] for n in ("V2", "V4")})
+    both = study.cells.fly_group("low", 2, 2)
+    monkeypatch.setattr(study.cells, "cells", lambda _: {"V4": cells["V4"]})
+    alone = study.cells.fly_group("low", 2, 1)
     np.testing.assert_array_equal(alone["V4"].error, both["V4"].error)
     np.testing.assert_array_equal(alone["V4"].sigma, both["V4"].sigma)
 
@@ -89,8 +83,8 @@ def test_threads_and_company_change_no_bit(study, monkeypatch) -> None:
 def test_acceptance_in_few_flights(study) -> None:
     """The prototype's: definite always, sigma^ within 8 %, V3's falls in half of V2's time; bursts
     of V4 below 30 m at low noise (here 12 flights, the mean peak's own scatter is 2 m)."""
-    r, s = study.range, study.script
-    dry, wet = s.cells("nominal"), s.cells("outliers")
+    r, s = study.range, study.measures
+    dry, wet = (study.cells.cells(group) for group in ("nominal", "outliers"))
     seeds = range(500_001, 500_013)
     flown = {name: r.fly_all(dry[name], seeds) for name in ("V2", "V3", "V4")}
     for f in flown.values():
@@ -107,10 +101,11 @@ def test_acceptance_in_few_flights(study) -> None:
 @pytest.mark.campaign
 def test_acceptance_on_other_seeds(study) -> None:
     """Everything that an independent prototype measured, its counts of runs or more."""
-    s = study.script
+    s, claims = study.cells, study.claims
     m = {group: s.fly_group(group, runs, 2, 800_001) for group, runs in s.RUNS.items()}
-    rows = [claim.row() for claim in s.prototype(m) + s.beyond(m)]
+    rows = [claim.row() for claim in study.targets.prototype(m) + study.targets.beyond(m)]
     assert [row["id"] for row in rows if row["verdict"] != study.ledger.MET] == []
-    verdicts = {c.id: c.row()["verdict"] for c in s.steps(m) + s.robust(m) + s.measured(m)}
+    told = claims.steps(m) + claims.robust(m) + claims.measured(m)
+    verdicts = {claim.id: claim.row()["verdict"] for claim in told}
     refuted = {"ishakf-rise-state", "ishakf-65-merit"}
     assert {name for name, v in verdicts.items() if v == study.ledger.NOT} == refuted

@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
-STUDIES = Path(__file__).parents[1] / "studies"
 
-
-@pytest.fixture
-def study(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
-    """The script, and the flight that it stands on; their folder is on no path but theirs."""
-    monkeypatch.syspath_prepend(STUDIES)
-    import sage_husa
-    from common import ledger, platform_flight
-
-    return SimpleNamespace(script=sage_husa, flight=platform_flight, ledger=ledger)
+@pytest.fixture(scope="module")
+def study(studies):
+    return studies(
+        flight="common.platform_flight", cells="common.platform_cells",
+        measures="common.platform_measures", targets="common.platform_targets",
+        ledger="common.ledger",
+    )  # fmt: skip
 
 
 def test_flight_and_disturbances_are_the_papers(study) -> None:
@@ -68,7 +62,7 @@ def test_improved_1_is_sage_husa_for_one_b_and_all_stay_definite(study, q) -> No
     Q = study.flight.Q0[q]
     means = {}
     for n in "123456":
-        run = study.script.one_flight("2", Q, study.script.algorithm(n, "2"), 11).run
+        run = study.cells.one_flight("2", Q, study.cells.algorithm(n, "2"), 11).run
         assert set(run.first) == {-1}, n
         means[n] = run.mean
     span = np.abs(means["1"]).max(axis=0)
@@ -77,25 +71,25 @@ def test_improved_1_is_sage_husa_for_one_b_and_all_stay_definite(study, q) -> No
 
 
 def test_threads_and_company_change_no_bit(study) -> None:
-    cells = study.script.cells()
+    cells = study.cells.cells()
     few = {name: cells[name] for name in ("1 matched 1", "3 matched 4")}
-    both = study.script.fly_all(few, 2, 2)
-    alone = study.script.fly_all({"3 matched 4": few["3 matched 4"]}, 2, 1)
+    both = study.cells.fly_all(few, 2, 2)
+    alone = study.cells.fly_all({"3 matched 4": few["3 matched 4"]}, 2, 1)
     for key, values in alone["3 matched 4"].items():
         np.testing.assert_array_equal(values, both["3 matched 4"][key])
 
 
 @pytest.mark.campaign
-def test_acceptance_on_other_seeds(study, monkeypatch) -> None:
+def test_acceptance_on_other_seeds(study) -> None:
     """Peaks, ratios, times and definiteness that an independent prototype measured."""
-    monkeypatch.setattr(study.script, "FIRST_SEED", 700_001)
+    first = 700_001
     wanted = ("1 over-stated", "1 matched", "2", "3", "5 none", "5 fix", "5 q", "full")
     cells = {
-        name: cell for name, cell in study.script.cells().items()
+        name: cell for name, cell in study.cells.cells().items()
         if name.startswith(wanted) and len(name.split(" ")) < 4
     }  # fmt: skip
-    flown = study.script.fly_all(cells, 40, 2)
-    claims = study.script.prototype(flown, study.script.equal_b())
+    flown = study.cells.fly_all(cells, 40, 2, first)
+    claims = study.targets.prototype(flown, study.measures.equal_b(first))
     assert len(claims) == 8
     for claim in claims:
         assert claim.row()["verdict"] == study.ledger.MET, claim
