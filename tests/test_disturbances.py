@@ -114,3 +114,35 @@ def test_forgetting_without_a_robust_gain_survives_a_fault() -> None:
     kf, forgetting = (r.summary["position_rms_end_m"] for r in runs)
     assert lost == [1, 1]
     assert forgetting < 0.5 * kf
+
+
+def test_a_sector_blocks_those_that_stand_in_it() -> None:
+    """Against the elevations and azimuths that the run itself reports, through north as well."""
+    walls = [
+        {"t0_s": 0.0, "t1_s": 0.5, "elevation_deg": [-90.0, 30.0], "cn0_change_db": -45.0},
+        {"t0_s": 0.5, "t1_s": 1.0, "azimuth_deg": [300.0, 60.0], "cn0_change_db": -45.0},
+        {"t0_s": 1.0, "elevation_deg": [10.0, 60.0], "azimuth_deg": [60.0, 300.0], "prns": [4, 9],
+         "cn0_change_db": -45.0},
+    ]  # fmt: skip
+    r = run(flown(*walls, duration_s=1.5), 1)
+    el, az = r["elevation"][0], r["azimuth"][0] % 360.0
+    named = np.isin(r["channel"], ["G04:L1CA", "G09:L1CA"])
+    blocked = r["cn0_true"] < 0.0
+    row = [int(np.searchsorted(r.t_s, t)) for t in (0.25, 0.75, 1.25)]
+    assert np.array_equal(blocked[row[0]], el <= 30.0)
+    assert np.array_equal(blocked[row[1]], (az >= 300.0) | (az <= 60.0))
+    assert np.array_equal(blocked[row[2]], named)
+    assert [int(blocked[k].sum()) for k in row] == [6, 3, 2]
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "expected"),
+    [
+        ("elevation_deg", [60.0, 10.0], "the lower one first"),
+        ("azimuth_deg", [10.0, 370.0], "-360 to 360"),
+        ("azimuth_deg", [0.0, 360.0], "two directions"),
+    ],
+)
+def test_sectors_without_an_inside_are_refused(key: str, value: list[float], expected: str) -> None:
+    with pytest.raises(ValueError, match=rf"channel\.disturbance\[0\]\.{key}.*{expected}"):
+        flown({"t0_s": 0.0, "cn0_change_db": -45.0, key: value})

@@ -36,7 +36,7 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("name", CASES)
 def test_presets_fly_what_the_specification_says(name: str) -> None:
     s = load(name)
     gained = sum((g.accel0_mps2 + g.accel1_mps2) / 2 * (g.t1_s - g.t0_s) for g in s.profile)
@@ -48,7 +48,7 @@ def test_presets_fly_what_the_specification_says(name: str) -> None:
     assert not s.warnings()
 
 
-@pytest.mark.parametrize("name", [p for p in PRESETS if p != "static"])
+@pytest.mark.parametrize("name", [p for p in CASES if p != "static"])
 def test_paper_presets_share_sky_and_cause(name: str) -> None:
     s = load(name)
     assert (s.start_week, s.start_tow_s, s.mask_deg) == (2149, 475_220.0, 10.0)

@@ -21,6 +21,9 @@ ROW_S = 0.02
 NODE_S = 0.005
 """Spacing of the nodes of the truth"""
 LARGEST_FAULT_M = 1e5
+VIBRATION_LIMIT_HZ = 50.0
+VIBRATION_RISE_S = 0.5
+"""Rise and fall together"""
 SPEED_LIMIT_MPS = 12_000.0
 """No vehicle of ours is faster than escape velocity"""
 
@@ -89,13 +92,17 @@ def contradictions(s: Scenario) -> Found:
     times = [t for t, _ in s.channel.cn0_profile_s_db]
     if any(b <= a for a, b in zip(times, times[1:], strict=False)):
         refuse("channel.cn0_profile_s_db", config.show(times), "times that grow")
+    if s.climb_deg and s.plane == "horizontal":
+        refuse("climb_deg plane", f"{s.climb_deg:g}", 'plane = "vertical" with it')
+    if s.trajectory is not None and s.plane == "vertical":
+        refuse("trajectory plane", config.show(s.trajectory), 'plane = "horizontal" beside it')
     if s.trajectory is not None and s.profile:
         refuse("trajectory profile", config.show(s.trajectory), "no profile beside it: profile=[]")
     if s.prns is not None and len(set(s.prns)) < len(s.prns):
         refuse("prns", config.show(s.prns), "each satellite once")
     parts = (
         _unknown_names, _signal_contradictions, loop_contradictions, _profile_contradictions,
-        _disturbance_contradictions,
+        _vibration_contradictions, _disturbance_contradictions,
     )  # fmt: skip
     return found + [line for part in parts for line in part(s)]
 
@@ -245,6 +252,21 @@ def _profile_contradictions(s: Scenario) -> Found:
     return found
 
 
+def _vibration_contradictions(s: Scenario) -> Found:
+    found: Found = []
+    for i, v in enumerate(s.vibration):
+        least = v.t0_s + VIBRATION_RISE_S
+        for key, given, wrong, expected in (
+            ("t1_s", v.t1_s, v.t1_s < least, f"at least t0_s + {VIBRATION_RISE_S:g} = {least:g}"),
+            ("t1_s", v.t1_s, v.t1_s > s.duration_s, f"at most duration_s = {s.duration_s:g}"),
+            ("to_hz", v.to_hz, v.to_hz <= v.from_hz, f"more than from_hz = {v.from_hz:g}"),
+        ):
+            if wrong:
+                text = f"vibration[{i}].{key}: {given:g} given, expected {expected}"
+                found.append((("vibration", "duration_s"), text))
+    return found
+
+
 def _disturbance_contradictions(s: Scenario) -> Found:
     found: Found = []
     for i, d in enumerate(s.channel.disturbance):
@@ -267,6 +289,10 @@ def _disturbance_contradictions(s: Scenario) -> Found:
                 refuse(key, f"{t:.9g}", f"a multiple of {NODE_S:g} s")
         if d.prns is not None and (not d.prns or len(set(d.prns)) < len(d.prns)):
             refuse("prns", config.show(d.prns), "some satellites, each once; left out: all")
+        if d.elevation_deg is not None and not d.elevation_deg[0] < d.elevation_deg[1]:
+            refuse("elevation_deg", config.show(d.elevation_deg), "the lower one first")
+        if d.azimuth_deg is not None and (d.azimuth_deg[1] - d.azimuth_deg[0]) % 360.0 == 0.0:
+            refuse("azimuth_deg", config.show(d.azimuth_deg), "two directions; left out: all")
         if not (d.cn0_change_db or d.pseudorange_m or d.pseudorange_rate_mps):
             change = "cn0_change_db, pseudorange_m or pseudorange_rate_mps other than zero"
             refuse("", "no change", change)

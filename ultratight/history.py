@@ -86,6 +86,7 @@ class History:
         self.dumps: Dumps | None = None
         self.n_dump = 0
         self.nco: tuple[np.ndarray, np.ndarray] | None = None
+        self.piece_s = 0.0
 
     def record(self, k: int, closure: Any, nco: Nco, taps: Taps) -> None:
         """Keep epoch k; rows of epochs that are never reached stay NaN."""
@@ -97,6 +98,7 @@ class History:
         if self.nco is None:
             shape = (self.t_s.size, nco.valid.size)
             self.nco = np.full(shape, np.nan), np.full(shape, np.nan)
+        self.piece_s = nco.t_s[-1] - nco.t_s[-2]
         _keep_last(nco.carrier_freq_hz, nco.code_phase_chips, *self.nco, row)
         closure.write(self.rows, row)
 
@@ -212,6 +214,17 @@ def sky_variables(world: World, t_s: np.ndarray) -> dict[str, Variable]:
             np.degrees(azimuth), channel, "deg", "true azimuth of the satellite, from north"
         ),
     }
+
+
+def carrier_error_hz(world: World, history: History) -> np.ndarray:
+    """NCO's carrier frequency less the true one (n_epoch, n_channel) where its last piece began."""
+    if history.nco is None:
+        return np.full((history.t_s.size, world.prn.size), np.nan)
+    truth, t = world.signal, history.t_s - history.piece_s
+    k = np.clip(np.searchsorted(truth.t_s, t + 1e-9, "right") - 1, 0, truth.t_s.size - 2)
+    h = t - truth.t_s[k]
+    c = truth.carrier_phase_cycles[:, k]
+    return history.nco[0] - (c[..., 1] + h * (2.0 * c[..., 2] + 3.0 * h * c[..., 3])).T
 
 
 # ---- kernels ---------------------------------------------------------------------------------

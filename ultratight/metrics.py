@@ -15,6 +15,9 @@ CONVERGED_MPS = 0.5
 END_S = 2.5
 SETTLED_S = 5.0
 AFTER_S = 10.0
+OFF_CARRIER_HZ, OFF_CARRIER_S = 25.0, 0.2
+"""Frequency lock by the truth is lost by so much for so long: half the rate of data bits, as in the
+comparison of Vilnrotter, Hinedi & Kumar (IEEE TAES 25(4), 1989)"""
 VELOCITY = slice(3, 6)
 """Where the velocity stands in the covariance of a run"""
 
@@ -90,6 +93,24 @@ def nis_per_measurement(run: Run, mask: np.ndarray) -> float | None:
     nis, m = run["nis"], run["n_measurement"]
     mask = mask & (m > 0) & np.isfinite(nis)
     return float(np.mean(nis[mask] / m[mask])) if mask.any() else None
+
+
+def off_carrier_s(t_s: np.ndarray, error_hz: np.ndarray) -> np.ndarray:
+    """When each NCO (n_channel,) began to be off the true carrier for `OFF_CARRIER_S` [s].
+
+    error_hz (n_epoch, n_channel): its frequency error at times t_s (n_epoch,), NaN after the end
+    of the receiver, which counts as off.  NaN where it never was.
+    """
+    out = np.full(error_hz.shape[1], np.nan)
+    n = max(1, int(np.searchsorted(t_s - t_s[0], OFF_CARRIER_S - 1e-9))) if t_s.size else 1
+    if t_s.size < n:
+        return out
+    off = ~(np.abs(error_hz) <= OFF_CARRIER_HZ)
+    so_far = np.concatenate([np.zeros((1, off.shape[1]), int), np.cumsum(off, axis=0)])
+    began = so_far[n:] - so_far[:-n] == n
+    found = began.any(axis=0)
+    out[found] = t_s[began.argmax(axis=0)][found]
+    return out
 
 
 def chi2_interval(n: int, level: float = 0.95) -> tuple[float, float]:

@@ -17,7 +17,7 @@ from pydantic import Field, ValidationError, ValidationInfo, model_validator
 
 from ultratight import config, consistency, named_files
 from ultratight.config import InvalidInput, Unsupported
-from ultratight.consistency import SPEED_LIMIT_MPS, Label
+from ultratight.consistency import SPEED_LIMIT_MPS, VIBRATION_LIMIT_HZ, Label
 from ultratight.loop_keys import LoopKeys
 from ultratight.tables import (
     Atmosphere,
@@ -44,7 +44,10 @@ __all__ = [
 Acceleration = Annotated[float, Field(ge=-10_000.0, le=10_000.0)]
 TurnRate = Annotated[float, Field(ge=-360.0, le=360.0)]
 
-PRESETS = ("jump-1", "jump-2", "jump-3", "jump-4", "uniform", "accelerated", "static")
+PRESETS = (
+    "jump-1", "jump-2", "jump-3", "jump-4", "uniform", "accelerated", "static", "rocket-launch",
+    "urban-outage",
+)  # fmt: skip
 """Scenarios that ship, as ``ultratight/presets/NAME.toml``"""
 _KEYS_ONLY = "keys only"
 """Validation context: leave out the rules between keys"""
@@ -63,9 +66,22 @@ class Segment(Table):
     accel1_mps2: Acceleration = 0.0
     """At t1_s"""
     turn_rate0_deg_s: TurnRate = 0.0
-    """Of the heading, clockwise, at t0_s"""
+    """Of the heading, clockwise, in a vertical plane of the climb angle, upwards; at t0_s"""
     turn_rate1_deg_s: TurnRate = 0.0
     """At t1_s"""
+
+
+class Vibration(Table):
+    """A stretch of random vibration with a flat spectrum, the same in every run."""
+
+    t0_s: NotNegative
+    """It rises and falls within 0.25 s"""
+    t1_s: Positive
+    rms_g: Annotated[float, Field(gt=0.0, le=100.0)]
+    """Acceleration along each of three axes"""
+    from_hz: Annotated[float, Field(ge=1.0, le=VIBRATION_LIMIT_HZ)] = 5.0
+    to_hz: Annotated[float, Field(ge=1.0, le=VIBRATION_LIMIT_HZ)] = VIBRATION_LIMIT_HZ
+    """Four nodes of the truth in a cycle; above, the carrier moves by micrometres"""
 
 
 class Clock(Table):
@@ -190,8 +206,14 @@ class Scenario(Table):
     """The highest ones are kept"""
     prns: tuple[Prn, ...] | None = None
     """Satellites to keep; all by default"""
+    plane: Literal["horizontal", "vertical"] = "horizontal"
+    """Of the motion, at the start; turns change the heading in the one, the climb in the other"""
+    climb_deg: Annotated[float, Field(ge=-90.0, le=90.0)] = 0.0
+    """Vertical plane: first angle of the velocity above the horizontal"""
     profile: tuple[Segment, ...] = ()
     """Stretches of linear acceleration and turn rate; both are zero elsewhere"""
+    vibration: tuple[Vibration, ...] = ()
+    """Stretches of vibration; what overlaps adds up"""
     jump_window_s: tuple[NotNegative, NotNegative] | None = None
     """What the summary calls the jump; by default from the first to the last segment"""
     trajectory: Annotated[str, Field(min_length=1)] | None = None

@@ -12,7 +12,7 @@ from signals.nco import Correlator, Nco, Taps
 from ultratight import metrics
 from ultratight.filters.catalog import make_filter
 from ultratight.filters.gaussian import Filter
-from ultratight.history import History, sky_variables, truth_variables
+from ultratight.history import History, carrier_error_hz, sky_variables, truth_variables
 from ultratight.ins.imu import Increments
 from ultratight.provenance import provenance
 from ultratight.results import Event, Run
@@ -116,7 +116,8 @@ def run(
         provenance=provenance(scenario, seed),
         summary={},
     )
-    run_.summary.update(_summary(run_, scenario, world, closure, (wall, loop), filter))
+    off = metrics.off_carrier_s(history.t_s, carrier_error_hz(world, history))
+    run_.summary.update(_summary(run_, scenario, world, closure, off, (wall, loop), filter))
     return run_
 
 
@@ -204,15 +205,20 @@ def _summary(
     scenario: Scenario,
     world: World,
     closure: Closure,
+    off_carrier_s: np.ndarray,
     took: tuple[float, float],
     own: Filter | None,
 ) -> dict[str, Any]:
     r, (wall, loop) = scenario.receiver, took
     tight = r.closure == "ultra-tight"
     name = (type(own).__name__ if own is not None else r.filter) if tight else None
-    lost = dict.fromkeys(world.names)
-    for i, t in enumerate(closure.first_lost_s):
-        lost[world.names[i]] = round(float(t), 6) if np.isfinite(t) else None
+    lost, off = (
+        {
+            name: round(float(t), 6) if np.isfinite(t) else None
+            for name, t in zip(world.names, times, strict=True)
+        }
+        for times in (closure.first_lost_s, off_carrier_s)
+    )
     return {
         "scenario": scenario.name,
         "filter": name,
@@ -223,6 +229,7 @@ def _summary(
         "duration_s": scenario.duration_s,
         "n_satellites": len({name.partition(":")[0] for name in world.names}),
         "lost_lock_s": lost,
+        "off_carrier_s": off,
         "fall_backs": sum(e.kind == "fall-back" for e in run_.events),
         **metrics.summarise(run_, jump_window(scenario)),
         "wall_s": round(wall, 3),

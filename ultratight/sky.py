@@ -27,6 +27,7 @@ from signals.satellites import TOE, Constellation
 from signals.signal_row import Signal
 from ultratight.ins.earth import geodetic_from_ecef
 from ultratight.scenario import InvalidInput, Scenario
+from ultratight.tables import Disturbance
 from ultratight.tracking.channels import Channels
 
 _TYPICAL_LIGHT_TIME_S = 0.075
@@ -107,6 +108,28 @@ def look(
         distance = np.linalg.norm(r - r_antenna, axis=1)
         light = distance / C_MPS
     return elevation_azimuth(r_antenna, (r - r_antenna) / distance[:, None])
+
+
+def stands_between(
+    s: Scenario,
+    sky: Constellation,
+    prn: np.ndarray,
+    t_s: np.ndarray,
+    r_antenna: np.ndarray,
+    sector: Disturbance,
+) -> np.ndarray:
+    """Which satellites (n,) stand in the sector of a disturbance, seen from r_antenna (1, 3).
+
+    t_s (1,): GPS time since the start.
+    """
+    low, high = sector.elevation_deg or (-90.0, 90.0)
+    first, last = sector.azimuth_deg or (0.0, 360.0)
+    width = (last - first) % 360.0 or 360.0
+    inside = np.empty(prn.size, dtype=np.bool_)
+    for i, p in enumerate(prn.tolist()):
+        el, az = np.degrees(look(sky, p, s.start_week, s.start_tow_s + t_s, r_antenna))[:, 0]
+        inside[i] = low <= el <= high and (az - first) % 360.0 <= width
+    return inside
 
 
 def symbols(

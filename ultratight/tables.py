@@ -15,6 +15,8 @@ Ppm = Annotated[float, Field(ge=-1e5, le=1e5)]
 Dbhz = Annotated[float, Field(ge=0.0, le=70.0)]
 Change = Annotated[float, Field(ge=-70.0, le=70.0)]
 Delay = Annotated[float, Field(ge=-1e5, le=1e5)]
+Elevation = Annotated[float, Field(ge=-90.0, le=90.0)]
+Azimuth = Annotated[float, Field(ge=-360.0, le=360.0)]
 Prn = Annotated[int, Field(ge=1, le=210)]
 
 
@@ -47,6 +49,10 @@ class Disturbance(Table):
     """Left out: to the end"""
     prns: tuple[Prn, ...] | None = None
     """Satellites concerned; all by default"""
+    elevation_deg: tuple[Elevation, Elevation] | None = None
+    """Of these only those between, as seen from the antenna at t0_s: a wall, a roof"""
+    azimuth_deg: tuple[Azimuth, Azimuth] | None = None
+    """And between these, clockwise from the first to the second: [300.0, 60.0] holds north"""
     cn0_change_db: Change = 0.0
     """Added to C/N0"""
     pseudorange_m: Delay = 0.0

@@ -34,8 +34,7 @@ from ultratight.consistency import NODE_S
 from ultratight.data_sheets import imu_errors, oscillator, process_noise
 from ultratight.ins.attitude import rotation_from_vector
 from ultratight.ins.imu import ImuErrors, Increments, corrupt
-from ultratight.ins.recorded_motion import RecordedMotion
-from ultratight.ins.trajectory import RigidMotion, Segment, Trajectory
+from ultratight.motion import motion
 from ultratight.scenario import InvalidInput, Scenario, Unsupported
 from ultratight.tracking.channels import channels
 from ultratight.tracking.knows import Knows
@@ -69,7 +68,7 @@ class World:
     ) -> None:
         self.scenario, self.seed = scenario, seed
         self._samples = samples
-        self.trajectory = _motion(scenario)
+        self.trajectory = motion(scenario)
         # a little past the end, so that a longer run begins with the same bits
         n_node = int(np.ceil(scenario.duration_s / NODE_S - 1e-9)) + 1 + N_NODE_PAST
         self.t_s = np.arange(n_node) * NODE_S
@@ -143,6 +142,11 @@ class World:
                     f"{', '.join(map(str, np.unique(self.prn).tolist()))}"
                 )
             affected = np.isin(self.prn, self.prn if d.prns is None else d.prns)
+            if d.elevation_deg is not None or d.azimuth_deg is not None:
+                t = np.array([d.t0_s])
+                affected &= sky.stands_between(
+                    self.scenario, self.sky, self.prn, self.true_time(t), self.antenna(t)[0], d
+                )
             t1 = np.inf if d.t1_s is None else d.t1_s
             change = d.cn0_change_db, d.pseudorange_m, d.pseudorange_rate_mps
             found.append(Disturbance(d.t0_s, t1, affected, *change))
@@ -360,32 +364,3 @@ class World:
             first_bit=self.signal.first_symbol,
             scale_factor_sigma=1e-6 * k.accel_scale_factor_sigma_ppm,
         )
-
-
-def _motion(s: Scenario) -> RigidMotion:
-    """The trajectory file's motion, or that of the profile."""
-    if s.trajectory is not None:
-        try:
-            motion = RecordedMotion.from_csv(s.trajectory)
-            motion.check_covers(s.duration_s)
-        except ValueError as error:
-            raise InvalidInput(f"trajectory: {error}") from None
-        return motion
-    lat, lon, h = s.position_lla_deg_m
-    return Trajectory.from_profile(
-        (np.radians(lat), np.radians(lon), h),
-        np.radians(s.heading_deg),
-        s.speed_mps,
-        [
-            Segment(
-                p.t0_s,
-                p.t1_s,
-                p.accel0_mps2,
-                p.accel1_mps2,
-                np.radians(p.turn_rate0_deg_s),
-                np.radians(p.turn_rate1_deg_s),
-            )
-            for p in s.profile
-        ],
-        duration_s=s.duration_s,
-    )

@@ -186,3 +186,34 @@ def test_last_segment_holds_beyond_the_duration():
 def test_refusals(build, message):
     with pytest.raises(ValueError, match=message):
         build()
+
+
+def test_a_loop_in_a_vertical_plane() -> None:
+    """Heading 30 deg, 100 m/s upwards from level at 0.4 rad/s: a circle of 250 m.
+
+    The body's nose is the velocity, its right horizontal and unchanged, and it pitches.
+    """
+    w, v, heading = 0.4, 100.0, np.radians(30.0)
+    loop = Trajectory.from_profile(START, heading, v, [Segment(0, 30, 0, 0, w, w)], climb_rad=0.0)
+    quarter, half = (plane(loop, k * np.pi / 2 / w) for k in (1, 2))
+    radius = v / w
+    ahead = np.array([np.cos(heading), np.sin(heading), 0.0])
+    np.testing.assert_allclose(quarter, radius * (ahead - [0, 0, 1]), atol=4 * ULP)
+    np.testing.assert_allclose(half, [0, 0, -2 * radius], atol=4 * ULP)
+    m = loop.at(2.0)
+    C_b_n = loop.C_n_e.T @ m.C_b_e
+    c, s = np.cos(2.0 * w), np.sin(2.0 * w)
+    np.testing.assert_allclose(C_b_n[:, 0], c * ahead - [0, 0, s], atol=1e-14)
+    np.testing.assert_allclose(C_b_n[:, 1], [-np.sin(heading), np.cos(heading), 0.0], atol=1e-14)
+    np.testing.assert_allclose(C_b_n[:, 2], s * ahead + [0, 0, c], atol=1e-14)
+    np.testing.assert_allclose(np.linalg.det(C_b_n), 1.0)
+    np.testing.assert_allclose(m.omega_eb_b, [0.0, w, 0.0], atol=1e-16)
+    np.testing.assert_allclose(derivative(lambda t: loop.at(t).v_eb_e, 2.0), m.a_eb_e, rtol=1e-9)
+    np.testing.assert_allclose(
+        derivative(lambda t: loop.at(t).C_b_e, 2.0), m.C_b_e @ skew(m.omega_eb_b), atol=1e-9
+    )
+
+
+def test_a_bank_in_a_vertical_plane_is_refused() -> None:
+    with pytest.raises(ValueError, match="climb_rad"):
+        Trajectory.from_profile(START, 0.0, 100.0, banked=True, climb_rad=1.0)

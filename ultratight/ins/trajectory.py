@@ -1,7 +1,8 @@
 """True motion: along-track acceleration and turns in a plane, exact to the rounding error.
 
-The plane is the local horizontal at the start, fixed in ECEF.  In it the along-track speed V and
-the heading psi are piecewise quadratic,
+The plane is the local horizontal at the start, or a vertical one there, fixed in ECEF.  In it the
+along-track speed V and the heading psi, the climb angle in a vertical plane, are piecewise
+quadratic,
 
     V' = a(t),  psi' = omega(t),  a and omega linear on every segment and free to jump between,
 
@@ -144,10 +145,12 @@ class Trajectory(RigidMotion):
 
     origin: np.ndarray  # (3,) ECEF start [m]
     C_n_e: np.ndarray  # (3, 3) NED at the start to ECEF
+    axes: np.ndarray  # (3, 3) columns: psi = 0, psi = 90 deg and the normal of the plane, ECEF
     cells: np.ndarray  # (n_cell, 9)
     breakpoints_s: np.ndarray  # times where a, omega or their slopes change [s]
     first_jump_s: float | None  # first discontinuity of the acceleration vector [s]
     banked: bool
+    upright: bool  # the plane is vertical: the body's right is its normal
 
     @classmethod
     def from_profile(
@@ -158,6 +161,7 @@ class Trajectory(RigidMotion):
         segments: Sequence[Segment] = (),
         *,
         banked: bool = False,
+        climb_rad: float | None = None,
         duration_s: float | None = None,
     ) -> Trajectory:
         """Start at (lat [rad], lon [rad], h [m]) and follow the segments, in order of time.
@@ -167,17 +171,26 @@ class Trajectory(RigidMotion):
         (when given) also holds later.  With ``banked`` the body rolls as in a
         coordinated turn, tan(roll) = V omega / g, which needs a turn rate without jumps.
 
+        With ``climb_rad`` the motion stays in the vertical plane through the heading; it begins
+        with that climb angle, and turn rates are those of the climb angle, upwards.
+
         Raises
         ------
         ValueError
-            Segments overlap, a number is not finite, or a banked turn rate jumps.
+            Segments overlap, a number is not finite, a banked turn rate jumps, or a bank is asked
+            for in a vertical plane.
         """
         lat, lon, h = (float(x) for x in np.asarray(position_lla, float))
         if not (abs(lat) <= math.pi / 2 and math.isfinite(lon) and math.isfinite(h)):
             raise ValueError(f"position_lla = {(lat, lon, h)}: expected (lat rad, lon rad, h m)")
-        for name, value in (("heading_rad", heading_rad), ("speed_mps", speed_mps)):
+        climb = 0.0 if climb_rad is None else climb_rad
+        given = ("heading_rad", heading_rad), ("speed_mps", speed_mps), ("climb_rad", climb)
+        for name, value in given:
             if not math.isfinite(value):
                 raise ValueError(f"{name} = {value}: expected a finite number")
+        upright = climb_rad is not None
+        if banked and upright:
+            raise ValueError(f"banked turn with climb_rad = {climb_rad}: expected one of them")
         profile = _without_gaps(segments, duration_s)
         jumps = _jumps(profile)
         if banked and any(jump != 0.0 for _, _, jump in jumps):
@@ -185,13 +198,17 @@ class Trajectory(RigidMotion):
                 "banked turn: the turn rate jumps; ramp it with turn_rate0, turn_rate1"
             )
         first = next((t for t, da, dw in jumps if da != 0.0 or dw != 0.0), None)
+        N = rotation_e_from_n(lat, lon)
+        first_psi = float(climb if upright else heading_rad)
         return cls(
             origin=ecef_from_geodetic(lat, lon, h),
-            C_n_e=rotation_e_from_n(lat, lon),
-            cells=_integrate(profile, float(heading_rad), float(speed_mps)),
+            C_n_e=N,
+            axes=_vertical(N, heading_rad) if upright else N,
+            cells=_integrate(profile, first_psi, float(speed_mps)),
             breakpoints_s=np.array([t for t, _, _ in jumps], float),
             first_jump_s=first,
             banked=banked,
+            upright=upright,
         )
 
     def speed(self, t: ArrayLike) -> np.ndarray:
@@ -207,8 +224,8 @@ class Trajectory(RigidMotion):
         shapes = ((3,), (3,), (3,), (3, 3), (3,))
         motion = [np.empty((t.size, *shape)) for shape in shapes]
         _move(
-            np.ravel(t), np.ravel(self._index(t, side)), self.cells, self.origin, self.C_n_e,
-            self._gravity_at_start if self.banked else math.inf, *motion,
+            np.ravel(t), np.ravel(self._index(t, side)), self.cells, self.origin, self.axes,
+            self._gravity_at_start if self.banked else math.inf, self.upright, *motion,
         )  # fmt: skip
         return Motion(*(x.reshape(*t.shape, *n) for x, n in zip(motion, shapes, strict=True)))
 
@@ -219,6 +236,12 @@ class Trajectory(RigidMotion):
     def _index(self, t: np.ndarray, side: Side) -> np.ndarray:
         """Cell of each time."""
         return np.clip(np.searchsorted(self.cells[:, 0], t, side) - 1, 0, len(self.cells) - 1)
+
+
+def _vertical(C_n_e: np.ndarray, heading: float) -> np.ndarray:
+    """Axes of the vertical plane through a heading: forward, up and right, as columns in ECEF."""
+    c, s = math.cos(heading), math.sin(heading)
+    return C_n_e @ np.array([[c, 0.0, -s], [s, 0.0, c], [0.0, -1.0, 0.0]])
 
 
 def _without_gaps(segments: Sequence[Segment], duration_s: float | None) -> list[Segment]:
@@ -294,13 +317,14 @@ def _move(
     origin: np.ndarray,
     N: np.ndarray,
     g: float,
+    upright: bool,
     r: np.ndarray,
     v: np.ndarray,
     a: np.ndarray,
     C: np.ndarray,
     omega: np.ndarray,
 ) -> None:
-    """Fields of a `Motion` at each t (n,), in cell index (n,); N = C_n_e; g: inf for no bank."""
+    """Fields of a `Motion` at each t (n,), in cell index (n,); N: axes; g: inf for no bank."""
     c0, s0, at = 1.0, 0.0, -1
     for k in range(t.size):
         cell = cells[index[k]]
@@ -318,6 +342,8 @@ def _move(
         cr = 1.0 / math.sqrt(1.0 + tangent * tangent)
         sr = tangent * cr
         roll_rate = (accel * rate + speed * dw) / g / (1.0 + tangent * tangent)
+        if upright:  # the wings stand on the plane
+            cr, sr = 0.0, 1.0
         c, s = c0, s0
         if heading != cell[4]:
             c, s = math.cos(heading), math.sin(heading)

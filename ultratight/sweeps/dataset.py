@@ -23,7 +23,7 @@ from ultratight.sweeps.series import SERIES, times
 
 FORMAT = "ultratight-sweep-1"
 NAME = "sweep.nc"
-INNER = {"velocity_rms_mps": "window", "lost_lock_s": "channel"}
+INNER = {"velocity_rms_mps": "window", "lost_lock_s": "channel", "off_carrier_s": "channel"}
 """Tables of a summary, and the dimension that their keys become"""
 _BLOCK = 256
 _LEFT_OUT = ("seed", "duration_s")
@@ -35,6 +35,7 @@ _WORDS = {
     "nees_velocity": "median of NEES/3 of the velocity in the jump",
     "nis_per_measurement": "mean of NIS per measured number outside the jump",
     "lost_lock_s": "first loss of lock of each channel",
+    "off_carrier_s": "since when the NCO of each channel was off the true carrier",
     "n_lost": "channels that lost lock",
     "first_lost_s": "first loss of lock of any channel",
     "fall_backs": "returns from the coherent to the differential measurement",

@@ -1,0 +1,95 @@
+"""Presets of vehicles: what they do, from kinematics; every closure flies them to the end."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from signals.constants import STANDARD_GRAVITY as G
+from ultratight import load, run
+from ultratight.motion import motion
+from ultratight.world import World
+
+CLOSURES = ("ultra-tight", "scalar", "vdfll")
+
+
+def along(t0: float, t1: float) -> float:
+    """Integral of the rocket's specific force along its nose, without vibration [m/s]."""
+    rocket = motion(load("rocket-launch", {"vibration": []}))
+    t = np.linspace(t0, t1, 40_001)
+    return float(np.trapezoid(rocket.specific_force(t)[:, 0], t))
+
+
+def test_rocket_obeys_the_rocket_equation() -> None:
+    """Constant thrust: v = Isp g ln(m0 / m1), m0 / m1 = f1 / f0.  The first 0.2 s are a rise from
+    1 g, which is 2 m/s less; lines between the points of a curve, 0.1 % more."""
+    assert along(10.0, 77.5) == pytest.approx(270.0 * G * math.log(12.0 / 3.0) - 0.2 * G, rel=2e-3)
+    second = 290.0 * G * math.log(1.0 / (1.0 - 3.0 * 39.0 / 290.0))
+    assert along(81.0, 120.0) == pytest.approx(second - 0.15 * 3.0 * G, rel=2e-3)
+
+
+def test_rocket_loads_and_times() -> None:
+    """1 g on the pad, 3 to 12 g, nothing between the stages, a gravity turn without side force."""
+    rocket = motion(load("rocket-launch", {"vibration": []}))
+    for t, load_g in ((5.0, 1.0), (10.2, 3.0), (77.499, 12.0), (79.5, 0.0), (81.3, 3.0)):
+        assert rocket.specific_force(t)[0] / G == pytest.approx(load_g, abs=0.03)
+    side = rocket.specific_force(np.arange(23.1, 120.0, 0.1))[:, 1:]
+    assert np.abs(side).max() < 0.1 * G
+    assert np.abs(rocket.specific_force(np.arange(10.0, 23.0, 0.1))[:, 1:]).max() < 0.8 * G
+    assert rocket.speed(120.0) == pytest.approx(4193.0, abs=10.0)  # less gravity's 2100 m/s
+    up = -(rocket.at(119.9).r_eb_e - rocket.at(0.0).r_eb_e) @ rocket.C_n_e[:, 2]
+    assert 195e3 < up < 215e3
+
+
+def test_rocket_shakes() -> None:
+    """0.7 g r.m.s. per axis, then 0.3 g; not on the pad, and not between the stages."""
+    whole, calm = (motion(load("rocket-launch", c)) for c in ({}, {"vibration": []}))
+    for t0, t1, rms_g in ((0.0, 10.0, 0.0), (11.0, 77.0, 0.7), (78.5, 81.0, 0.0), (82, 119, 0.3)):
+        t = np.arange(t0, t1, 0.002)
+        shaken = whole.specific_force(t) - calm.specific_force(t)
+        rms = np.sqrt((shaken**2).mean(axis=0)) / G
+        np.testing.assert_allclose(rms, rms_g, rtol=0.06, atol=1e-5)
+
+
+def test_rocket_pulls_its_oscillator() -> None:
+    """1 ppb/g at 12 g: c 12e-9 = 3.6 m/s more than on the pad's 1 g, 0.3 m/s."""
+    changes = {"vibration": [], "clock.model": "ideal"}
+    clock = World(load("rocket-launch", changes), 1).clock
+    rate = clock.clock_rate_mps[round(77.4 / 0.005)] - clock.clock_rate_mps[round(5.0 / 0.005)]
+    assert rate == pytest.approx(299_792_458.0 * 11e-9, rel=0.01)
+
+
+def test_car_stops_and_turns() -> None:
+    """14 m/s after 7 s at 2 m/s2, a stop of 8 s, right, 15 m/s, left, a stop."""
+    car = motion(load("urban-outage"))
+    t = np.arange(0.0, 120.0, 0.01)
+    assert car.speed(t).max() == pytest.approx(15.0)
+    for at, speed in ((4.0, 0.0), (20.0, 14.0), (35.1, 0.0), (42.9, 0.0), (47.5, 6.0),
+                      (70.0, 15.0), (98.0, 6.0), (108.0, 14.0), (119.5, 0.0)):  # fmt: skip
+        assert car.speed(at) == pytest.approx(speed, abs=1e-9)
+    for at, heading_deg in ((20.0, 0.0), (70.0, 90.0), (110.0, 0.0)):
+        nose = car.C_n_e.T @ car.at(at).C_b_e[:, 0]
+        assert math.degrees(math.atan2(nose[1], nose[0])) == pytest.approx(heading_deg, abs=1e-9)
+    assert np.linalg.norm(car.at(t).a_eb_e, axis=1).max() < 2.5
+
+
+def test_car_sees_what_the_streets_leave() -> None:
+    """Counted by hand on the sky of the start: walls of 60 deg, an underpass, a tower."""
+    world = World(load("urban-outage"), 1)
+    at = {2.0: 10, 30.0: 5, 50.0: 10, 70.0: 6, 82.0: 10, 87.0: 0, 92.0: 10, 110.0: 7, 118.0: 10}
+    seen = (world.cn0_dbhz(np.array(list(at))) > 40.0).sum(axis=1)
+    assert seen.tolist() == list(at.values())
+    assert (world.knows.cn0_dbhz > 35.0).all()  # of the start: the receiver is told of no wall
+
+
+@pytest.mark.parametrize("name", ["rocket-launch", "urban-outage"])
+@pytest.mark.parametrize("closure", CLOSURES)
+def test_every_closure_flies_them_to_the_end(name: str, closure: str) -> None:
+    """No exception, every row finite where there is a solution; the ultra-tight one converges."""
+    r = run(load(name, {"receiver.closure": closure}), 1)
+    assert r.t_s[-1] == 120.0
+    assert np.isfinite(r["r_eb_e"]).all(axis=1).mean() > (0.2 if closure == "scalar" else 0.99)
+    if closure == "ultra-tight":
+        assert r.summary["converged"]
