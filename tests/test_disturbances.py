@@ -139,7 +139,7 @@ def test_a_sector_blocks_those_that_stand_in_it() -> None:
     ("key", "value", "expected"),
     [
         ("elevation_deg", [60.0, 10.0], "the lower one first"),
-        ("azimuth_deg", [10.0, 370.0], "-360 to 360"),
+        ("azimuth_deg", [10.0, 370.0], "360 or less"),
         ("azimuth_deg", [0.0, 360.0], "two directions"),
     ],
 )

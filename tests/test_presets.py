@@ -12,7 +12,7 @@ from ultratight import load, run
 from ultratight.motion import motion
 from ultratight.world import World
 
-CLOSURES = ("ultra-tight", "scalar", "vdfll")
+NAMES = ("rocket-launch", "urban-outage")
 
 
 def along(t0: float, t1: float) -> float:
@@ -44,13 +44,15 @@ def test_rocket_loads_and_times() -> None:
 
 
 def test_rocket_shakes() -> None:
-    """0.7 g r.m.s. per axis, then 0.3 g; not on the pad, and not between the stages."""
+    """0.7 g r.m.s. per axis, then 0.3 g; not on the pad, and not between the stages.
+
+    The mean over the axes: they are those of the Earth, and the rocket turns in them.
+    """
     whole, calm = (motion(load("rocket-launch", c)) for c in ({}, {"vibration": []}))
     for t0, t1, rms_g in ((0.0, 10.0, 0.0), (11.0, 77.0, 0.7), (78.5, 81.0, 0.0), (82, 119, 0.3)):
         t = np.arange(t0, t1, 0.002)
         shaken = whole.specific_force(t) - calm.specific_force(t)
-        rms = np.sqrt((shaken**2).mean(axis=0)) / G
-        np.testing.assert_allclose(rms, rms_g, rtol=0.06, atol=1e-5)
+        assert np.sqrt((shaken**2).mean()) / G == pytest.approx(rms_g, rel=0.04, abs=1e-5)
 
 
 def test_rocket_pulls_its_oscillator() -> None:
@@ -84,12 +86,21 @@ def test_car_sees_what_the_streets_leave() -> None:
     assert (world.knows.cn0_dbhz > 35.0).all()  # of the start: the receiver is told of no wall
 
 
-@pytest.mark.parametrize("name", ["rocket-launch", "urban-outage"])
-@pytest.mark.parametrize("closure", CLOSURES)
-def test_every_closure_flies_them_to_the_end(name: str, closure: str) -> None:
-    """No exception, every row finite where there is a solution; the ultra-tight one converges."""
-    r = run(load(name, {"receiver.closure": closure}), 1)
+@pytest.mark.parametrize("name", NAMES)
+def test_ultra_tight_flies_them(name: str) -> None:
+    """To the end, with an answer at every epoch, and right there."""
+    r = run(load(name), 1, whole=False)
     assert r.t_s[-1] == 120.0
-    assert np.isfinite(r["r_eb_e"]).all(axis=1).mean() > (0.2 if closure == "scalar" else 0.99)
-    if closure == "ultra-tight":
-        assert r.summary["converged"]
+    assert np.isfinite(r["r_eb_e"]).all()
+    assert r.summary["converged"]
+    assert r.summary["position_rms_end_m"] < 5.0
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("closure", ["scalar", "scalar-ins", "vdll", "vdfll"])
+def test_every_closure_flies_them(name: str, closure: str) -> None:
+    """To the end without an exception; scalar closures have no answer without four satellites."""
+    r = run(load(name, {"receiver.closure": closure}), 1, whole=False)
+    assert r.t_s[-1] == 120.0
+    assert np.isfinite(r["r_eb_e"][-1]).all()

@@ -194,7 +194,8 @@ def test_another_world_does_not_keep_title_and_reason(tmp_path: Path) -> None:
 
 
 def test_a_printed_scenario_shows_every_key() -> None:
-    text = load("jump-1", ["channel.disturbance=[{t0_s=1,cn0_change_db=-3}]"]).to_toml()
+    rows = "channel.disturbance=[{t0_s=1,cn0_change_db=-3}]", "vibration=[{t0_s=1,t1_s=2,rms_g=1}]"
+    text = load("jump-1", rows).to_toml()
     for key in config.keys(Scenario):
         leaf = key.name.rpartition(".")[2]
         assert (
