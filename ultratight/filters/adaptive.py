@@ -286,7 +286,13 @@ def bracket_of_Q(
 @kernel
 def is_semidefinite(P: np.ndarray) -> bool:
     """No pivot of the Cholesky factorisation is below zero by more than rounding."""
-    n = P.shape[0]
+    return semidefinite_rank(P) >= 0
+
+
+@kernel
+def semidefinite_rank(P: np.ndarray) -> int:
+    """Pivots of the Cholesky factorisation above rounding, -1 where P is not semi-definite."""
+    n, rank = P.shape[0], 0
     L = np.zeros((n, n))
     for j in range(n):
         s = P[j, j]
@@ -294,8 +300,9 @@ def is_semidefinite(P: np.ndarray) -> bool:
             s -= L[j, i] * L[j, i]
         least = _ZERO_PIVOT * n * abs(P[j, j])
         if not s >= -least:
-            return False
+            return -1
         L[j, j] = np.sqrt(s) if s > least else 0.0
+        rank += s > least
         for r in range(j + 1, n):
             t = P[r, j]
             for i in range(j):
@@ -303,5 +310,5 @@ def is_semidefinite(P: np.ndarray) -> bool:
             if s > least:
                 L[r, j] = t / L[j, j]
             elif t * t > 4.0 * least * abs(P[r, r]):  # no variance, yet a covariance
-                return False
-    return True
+                return -1
+    return rank

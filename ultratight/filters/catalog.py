@@ -13,7 +13,7 @@ from typing import Any, Protocol
 from ultratight.filters import own
 from ultratight.filters.adaptive import SageHusa
 from ultratight.filters.classified import AEKF, GATE, REKF, Classified
-from ultratight.filters.door import check_step, whole
+from ultratight.filters.door import check_step, finite, whole
 from ultratight.filters.factored import PLAIN, make_pair
 from ultratight.filters.fading import AS_PRINTED, BLOCK, CLAMPED, FITTED, Fading, FadingOptions
 from ultratight.filters.gaussian import (
@@ -254,10 +254,10 @@ class RecipeFilter:
             state, prediction = recipe.interval_q.apply(state, prediction)
         if recipe.velocity_q is not None:
             prediction = recipe.velocity_q.apply(prediction)
-        if self.noise is not None:
-            return self.noise.step(state, prediction, measurement, self.rule, recipe.iterations)
-        if self.weights is not None:
-            return self.weights.step(state, prediction, measurement, self.rule, recipe.iterations)
+        adaptive = self.noise or self.weights
+        if adaptive is not None:
+            found = adaptive.step(state, prediction, measurement, self.rule, recipe.iterations)
+            return finite(found, measurement)
         if self.fading is not None:
             prior, result = self.fading.step(
                 state, prediction, measurement, self.rule, recipe.iterations

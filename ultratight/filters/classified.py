@@ -136,9 +136,15 @@ class Weights:
         iterations: int = 1,
     ) -> Update:
         """Innovation, S and NIS are those of the weighted noise."""
+        nb, k = measurement.R.shape[:2]
+        for R in measurement.R:
+            if not np.diag(R).min() > 0.0:
+                raise ValueError(
+                    f"R: diagonal {np.diag(R).tolist()}, expected above 0: weights are relative "
+                    "to it"
+                )
         prior = self.pair.predict(state, prediction.phi, prediction.q)
         found = self.pair.update(prior, measurement, rule, iterations)
-        nb, k = measurement.R.shape[:2]
         more, self.kind = np.zeros(measurement.R.shape), np.zeros(nb, int)
         self.eta, self.weight = np.zeros(nb), np.zeros((nb, k))
         if not nb:
@@ -146,16 +152,10 @@ class Weights:
         S0 = found.S
         for i in range(nb):
             memory, rows = self._memory(int(measurement.channel[i]), k), slice(i * k, i * k + k)
-            kind, self.eta[i] = weigh(
+            self.kind[i], self.eta[i] = weigh(
                 found.innovation[rows], np.ascontiguousarray(S0[rows, rows]), measurement.R[i],
                 memory, self._limit[k], self.codes, self.weight[i], more[i],
             )  # fmt: skip
-            if kind < 0:
-                raise ValueError(
-                    f"R: diagonal {np.diag(measurement.R[i]).tolist()}, expected above 0: weights "
-                    "are relative to it"
-                )
-            self.kind[i] = kind
         if not more.any():
             return found
         return self.pair.update(
@@ -187,13 +187,9 @@ def weigh(
 ) -> tuple[int, float]:
     """Class and eta of a residual e (k,); lambda (k,) and what R (k, k) is raised by.
 
-    -1 where a diagonal entry of R is not above zero.  The residual joins the memory.
+    The residual joins the memory.
     """
-    k = e.size
-    for i in range(k):
-        if not R[i, i] > 0.0:
-            return -1, np.nan
-    nis = np.nan
+    k, nis = e.size, np.nan
     if codes.detector == 1 or codes.measure == 1:
         nis = _nis(e, S0)
     eta = nis / k if codes.measure == 1 else _ratio(e, S0, R, codes.measure == 0)

@@ -11,7 +11,8 @@ from numbers import Real
 import numpy as np
 
 from signals.compiled import borrowing, kernel
-from ultratight.filters.gaussian import Gaussian, Measurement, Prediction
+from ultratight.filters.adaptive import is_semidefinite
+from ultratight.filters.gaussian import Gaussian, Measurement, Prediction, Update
 
 _ROUNDING = 1e-9  # of a covariance, in units of the product of its standard deviations
 _NAMES = ("mean", "cov", "phi", "q", "z", "A", "R")
@@ -29,6 +30,26 @@ def whole(name: str, value: object, least: int) -> None:
     number = float(value) if isinstance(value, Real) and not isinstance(value, bool) else math.nan
     if not (math.isfinite(number) and int(number) == number and number >= least):
         raise ValueError(f"{name}: {value}, expected a whole number, at least {least}")
+
+
+def covariance(name: str, P: np.ndarray) -> None:
+    """ValueError where P (n, n) is not symmetric to the last bit and positive semi-definite."""
+    if not np.array_equal(P, P.T) or not is_semidefinite(P):
+        raise ValueError(f"{name}: expected a symmetric positive semi-definite matrix")
+
+
+def whole_rows(name: str, z: np.ndarray) -> np.ndarray:
+    """Mask (n,) of the rows of z (n, m) that were measured; those of NaN were not.
+
+    ValueError where a row is neither.
+    """
+    seen = np.isfinite(z).all(axis=1)
+    torn = np.flatnonzero(~seen & ~np.isnan(z).all(axis=1))
+    if torn.size:
+        raise ValueError(
+            f"{name}: row {torn[0]} is {z[torn[0]]}, expected finite numbers or all NaN"
+        )
+    return np.asarray(seen)
 
 
 def check_step(
@@ -68,6 +89,14 @@ def check_step(
         if kind == _NOT_FINITE or _NAMES[which] == "cov":
             raise np.linalg.LinAlgError(text)
         raise ValueError(text)
+
+
+def finite(found: Update, measurement: Measurement) -> Update:
+    """The same, if it is one: LinAlgError where squares of residuals have left the doubles."""
+    if not (np.isfinite(found.mean).all() and np.isfinite(found.cov).all()):
+        size = np.abs(measurement.z).max(initial=0.0)
+        raise np.linalg.LinAlgError(f"update: not finite, numbers measured up to {size:.2g}")
+    return found
 
 
 def _seen(array: np.ndarray, kind: int) -> str:

@@ -90,7 +90,7 @@ class Factored:
             mean, found = gaussian.mean.astype(np.float64), factor.copy()
             nis = self.form.condition(mean, found, nu, H, noise)
             if not np.isfinite(nis):
-                raise ValueError(
+                raise np.linalg.LinAlgError(
                     "z, R: expected finite numbers and positive semi-definite noise, "
                     f"got z = {measurement.z.tolist()}"
                 )

@@ -23,6 +23,7 @@ from ultratight.filters.adaptive import (
     weight_at,
 )
 from ultratight.filters.conditioning import gain_matrix, predict_into
+from ultratight.filters.door import covariance, whole_rows
 from ultratight.filters.gaussian import Gaussian
 from ultratight.filters.robust import Codes as Residuals
 from ultratight.filters.robust import Ishakf, fresh, from_residual, inverse_of, judge, ratio
@@ -36,7 +37,7 @@ _NO_RESIDUALS = Ishakf().codes(on=False)
 class Epochs(NamedTuple):
     """First epoch (0 is the first of z) of each mishap, -1 where there was none."""
 
-    R: int  # R^ not positive semi-definite
+    R: int  # R^ not positive semi-definite; a step from residuals that would be is not made
     Q: int  # Q^ not positive semi-definite
     P: int  # P not positive semi-definite
     refused: int  # S not positive definite: the measurement was left out
@@ -76,7 +77,9 @@ def run_linear(
     A row of NaN in z is an epoch without measurement: P_k = P_k/k-1, estimates of the noises
     and the count behind d are held.  Q and R are those of the first epoch when they are estimated.
     An update whose S is not positive definite is refused and noted, so that Q = 0, R = 0 and
-    noises without a fix have a defined course.
+    noises without a fix have a defined course.  So has an outlier of any size, which estimates of R
+    take for noise: only ISHAKF's reduced gain leaves it out; without it the state may not come back
+    (`robust`).
 
     Raises
     ------
@@ -103,12 +106,8 @@ def run_linear(
         if value.shape != expected:
             raise ValueError(f"{name}: shape {value.shape}, expected {expected}")
     for name, value, _ in (shapes[0], shapes[1], shapes[3]):
-        if not np.array_equal(value, value.T) or not is_semidefinite(value):
-            raise ValueError(f"{name}: expected a symmetric positive semi-definite matrix")
-    seen = np.isfinite(z).all(axis=1)
-    torn = np.flatnonzero(~seen & ~np.isnan(z).all(axis=1))
-    if torn.size:
-        raise ValueError(f"z: row {torn[0]} is {z[torn[0]]}, expected finite numbers or all NaN")
+        covariance(name, value)
+    seen = whole_rows("z", z)
     mean, variance, Q_variance = (np.full((len(z), n), np.nan) for _ in range(3))
     R_epoch, weight = np.full((len(z), m, m), np.nan), np.full(len(z), np.nan)
     x, P, Rk, Qk, first = x0.copy(), P0.copy(), R.copy(), Q.copy(), np.full(5, -1)
@@ -199,8 +198,8 @@ def _run(
             if updated:
                 weight[k] = 1.0
                 if residuals.on:
-                    weight[k] = _by_residual(S, v, R, memory, residuals, K, R1)
-                    if not is_semidefinite(R1):
+                    weight[k], made = _by_residual(S, v, R, memory, residuals, K, R1)
+                    if not made:
                         _note(first, 0, k)
                 _joseph(x1, M, H, K, gain_R, A, KRK, x, P)
                 for i in range(n):
@@ -245,9 +244,9 @@ def _by_residual(
     residuals: Residuals,
     K: np.ndarray,
     R1: np.ndarray,
-) -> float:
-    """R1 from the residual and K reduced in place; returns by how much."""
-    m = v.size
+) -> tuple[float, bool]:
+    """R1 from the residual and K reduced in place; by how much, and whether R1 could be made."""
+    m, made = v.size, True
     inverse = inverse_of(S)
     d, w = judge(ratio(inverse, v), memory, residuals)
     if residuals.R:
@@ -255,11 +254,11 @@ def _by_residual(
         for a in range(m):
             for b in range(m):
                 u[a] += inverse[a, b] * v[b]
-        from_residual(R, inverse, u, d, R1)
+        made = from_residual(R, inverse, u, d, R1)
     for i in range(K.shape[0]):
         for a in range(m):
             K[i, a] *= w
-    return w
+    return w, made
 
 
 @borrowing

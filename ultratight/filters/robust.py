@@ -14,7 +14,10 @@ serves any rule and any block of a larger measurement.
 
 b falls at once when a single eps is large, and when the mean of the last ones is small; beyond c3
 R is held, the gain reduced, beyond c4 the measurement is left out.  With hardly any Q everything
-that the model lacks is taken for noise: R_k grows, the gain falls, and so on without end.
+that the model lacks is taken for noise: R_k grows, the gain falls, and so on without end.  So does
+an outlier of some hundred sigma where the gain is not reduced: it throws the state off, what
+follows is taken for noise, and the state may never come back, nor does it with `adaptive`'s R.
+A step of R that doubles cannot hold (e of 10^7 sigma and more) is not made.
 
 After Duan, Gong, Xu & Zhao (Unit 63861), an improved Sage-Husa filter for ballistic range data.
 Only the formula of d has survived legibly; the others are reconstructed from the text, with its
@@ -30,7 +33,7 @@ from typing import NamedTuple
 import numpy as np
 
 from signals.compiled import FAST_SUM, borrowing, kernel
-from ultratight.filters.adaptive import weight_at
+from ultratight.filters.adaptive import semidefinite_rank, weight_at
 from ultratight.filters.conditioning import gain_matrix
 from ultratight.filters.door import whole
 from ultratight.filters.gaussian import Gaussian, Measurement, Prediction, Update, predict, update
@@ -265,16 +268,26 @@ def gain_weight(eps: float, c3: float, c4: float) -> float:
 @borrowing(fastmath=FAST_SUM)
 def from_residual(
     R: np.ndarray, inverse: np.ndarray, u: np.ndarray, d: float, new: np.ndarray
-) -> None:
-    """new (m, m) of (13), R + d (e e' - R S^-1 R), e = R u; its block of S^-1, u = S^-1 v."""
-    m = R.shape[0]
-    for i in range(m):
-        for j in range(i + 1):
-            e, f, s = 0.0, 0.0, 0.0
-            for a in range(m):
-                e += R[i, a] * u[a]
-                f += R[j, a] * u[a]
-                for b in range(m):
-                    s += R[i, a] * inverse[a, b] * R[j, b]
-            new[i, j] = R[i, j] + d * (e * f - s)
-            new[j, i] = new[i, j]
+) -> bool:
+    """new (m, m) of (13), R + d (e e' - R S^-1 R), e = R u; its block of S^-1, u = S^-1 v.
+
+    False, and new = R, where rounding would cost the new one a direction, or definiteness.
+    """
+    m, made = R.shape[0], True
+    if d != 0.0:
+        for i in range(m):
+            for j in range(i + 1):
+                e, f, s = 0.0, 0.0, 0.0
+                for a in range(m):
+                    e += R[i, a] * u[a]
+                    f += R[j, a] * u[a]
+                    for b in range(m):
+                        s += R[i, a] * inverse[a, b] * R[j, b]
+                new[i, j] = R[i, j] + d * (e * f - s)
+                new[j, i] = new[i, j]
+        made = semidefinite_rank(new) >= semidefinite_rank(R)
+    if d == 0.0 or not made:
+        for i in range(m):
+            for j in range(m):
+                new[i, j] = R[i, j]
+    return made

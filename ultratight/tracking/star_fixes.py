@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from signals.compiled import FAST_SUM, kernel
 from ultratight.filters.adaptive import is_semidefinite
 from ultratight.filters.conditioning import condition_on, innovation_cov, predict_into
-from ultratight.filters.door import whole
+from ultratight.filters.door import covariance, whole, whole_rows
 from ultratight.filters.gaussian import LOG_2PI, Gaussian
 from ultratight.filters.multiple_model import Bank, bank_of, merge_into, normalise
 from ultratight.filters.rules import Rule, get_rule, psd_cholesky, regress, scatter
@@ -102,13 +102,9 @@ def run_star_fixes(
         raise ValueError(f"Q: shape {Q.shape}, expected (1 or {n}, one model or more, {N_ERRORS})")
     if not Q.min() >= 0.0:
         raise ValueError(f"Q: {Q.min()}, expected variances")
-    for name, value in (("start.cov", P0), ("R", R)):
-        if not np.array_equal(value, value.T) or not is_semidefinite(value):
-            raise ValueError(f"{name}: expected a symmetric positive semi-definite matrix")
-    seen = np.isfinite(z).all(axis=1)
-    torn = np.flatnonzero(~seen & ~np.isnan(z).all(axis=1))
-    if torn.size:
-        raise ValueError(f"z: row {torn[0]} is {z[torn[0]]}, expected finite numbers or all NaN")
+    covariance("start.cov", P0)
+    covariance("R", R)
+    seen = whole_rows("z", z)
     rule = get_rule(rule) if isinstance(rule, str) else rule
     if rule.space == "full":
         raise ValueError(f"rule: {rule.name!r}, expected one of the projected space")
