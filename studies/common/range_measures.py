@@ -20,6 +20,9 @@ from common.ledger import Must, Quantity
 from common.range_cells import BURST_S, MISSILE
 from common.statistics import interval, mean
 
+QUIET = np.array([stepped(NOMINAL)[round(t / DT)] < 50.0 for t in BURSTS_S])
+"""Bursts while the noise is 15 or 20 m"""
+
 
 def pooled(error: np.ndarray, when: np.ndarray = SETTLED) -> float:
     """R.m.s. over all runs."""
@@ -54,10 +57,6 @@ def sooner(name: str, a: Flown, b: Flown, step: int, must: Must | None = None) -
 def burst_peaks(f: Flown) -> np.ndarray:
     """Mean peak (10,) [m] of each burst."""
     return peaks(f.error).mean(axis=0)
-
-
-QUIET = np.array([stepped(NOMINAL)[round(t / DT)] < 50.0 for t in BURSTS_S])
-"""Bursts while the noise is 15 or 20 m"""
 
 
 def length_peak(f: Flown, n: int) -> np.ndarray:

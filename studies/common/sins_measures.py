@@ -8,6 +8,8 @@ from common.ledger import Must, Quantity
 from common.sins_cells import Merits
 from common.statistics import interval
 
+VELOCITY, POSITION = slice(0, 3), slice(3, 6)
+
 
 def gain(
     m: dict[str, Merits], cell: str, over: str, worst: bool, must: Must | None = None,
@@ -32,9 +34,6 @@ def averaged(
     pick = np.max if worst == "max" else np.min
     flat = values.reshape(len(values), -1)
     return interval(name, flat, lambda d: pick(d.mean(axis=-2), axis=-1), unit, must)
-
-
-VELOCITY, POSITION = slice(0, 3), slice(3, 6)
 
 
 def peaks(m: Merits, part: slice) -> np.ndarray:

@@ -1,5 +1,6 @@
 """Small problems shared by the filter tests: random states, a linear and a correlator-like h."""
 
+from fractions import Fraction
 from types import SimpleNamespace
 
 import numpy as np
@@ -63,6 +64,18 @@ def stacked_noise(R):
     return out
 
 
+def exact_posterior(P, H, R):
+    """P - P H' (H P H' + diag R)^-1 H P, row after row, in rational numbers."""
+    P = [[Fraction(float(x)) for x in row] for row in P]
+    n = len(P)
+    for row, r in zip(H, R, strict=True):
+        h = [Fraction(float(x)) for x in row]
+        Ph = [sum(P[i][j] * h[j] for j in range(n)) for i in range(n)]
+        s = sum(h[i] * Ph[i] for i in range(n)) + Fraction(float(r))
+        P = [[P[i][j] - Ph[i] * Ph[j] / s for j in range(n)] for i in range(n)]
+    return np.array([[float(x) for x in row] for row in P])
+
+
 def layout(n):
     """The slices of the 17 states and n - 17 phases."""
     names = ("r", "v", "psi", "accel_bias", "gyro_bias")
@@ -85,5 +98,5 @@ def prediction(n, n_channel, phi=None, q=None, layout_=None, **changes):
 def _make():
     return SimpleNamespace(
         problem=problem, LinearH=LinearH, PhaseH=PhaseH, random_cov=random_cov, layout=layout,
-        stacked_noise=stacked_noise, prediction=prediction,
+        stacked_noise=stacked_noise, prediction=prediction, exact_posterior=exact_posterior,
     )  # fmt: skip

@@ -1,7 +1,5 @@
 """Square-root form: the same filter, and definite where the plain form is not."""
 
-from fractions import Fraction
-
 import numpy as np
 import pytest
 
@@ -73,71 +71,6 @@ def test_kernels_are_the_reference_arrays(make):
     assert condition_root(found, factor, nu, H, noise) == pytest.approx(nis, rel=1e-11)
     np.testing.assert_allclose(found, m2, atol=1e-12)
     np.testing.assert_allclose(factor @ factor.T, L2 @ L2.T, atol=1e-13)
-
-
-def exact_posterior(P, H, r):
-    """P - P H' (H P H' + r I)^-1 H P, row after row, in rational numbers."""
-    P = [[Fraction(float(x)) for x in row] for row in P]
-    n = len(P)
-    for h in H:
-        h = [Fraction(float(x)) for x in h]
-        Ph = [sum(P[i][j] * h[j] for j in range(n)) for i in range(n)]
-        s = sum(h[i] * Ph[i] for i in range(n)) + Fraction(float(r))
-        P = [[P[i][j] - Ph[i] * Ph[j] / s for j in range(n)] for i in range(n)]
-    return np.array([[float(x) for x in row] for row in P])
-
-
-@pytest.mark.nojit
-def test_single_precision_stays_definite_where_the_plain_form_does_not():
-    """Two nearly collinear, very exact measurements (Grewal & Andrews, 3rd ed., example 6.2).
-
-    delta^2 is below the rounding of 1 in single precision, delta is not.  The truth is rational.
-    """
-    delta = 2e-4
-    H = np.array([[1.0, 1.0, 1.0], [1.0, 1.0, 1.0 + delta]], np.float32)
-    P, r = np.eye(3, dtype=np.float32), np.float32(delta**2)
-    expected = exact_posterior(P, H, r)
-
-    S = H @ P @ H.T + r * np.eye(2, dtype=np.float32)
-    K = np.linalg.solve(S, H @ P).T
-    assert S.dtype == K.dtype == np.float32
-    plain = P - K @ S @ K.T
-    assert np.linalg.eigvalsh(plain.astype(float))[0] < 0.0
-
-    L, mean = P.copy(), np.zeros(3, np.float32)
-    condition_root(mean, L, np.zeros(2, np.float32), H, np.full((2, 1, 1), r, np.float32))
-    assert L.dtype == np.float32
-    found = L.astype(float) @ L.astype(float).T
-    least = np.linalg.eigvalsh(expected)[0]
-    assert np.linalg.eigvalsh(found)[0] == pytest.approx(least, rel=0.05)
-    np.testing.assert_allclose(found, expected, atol=2e-3 * np.abs(expected).max())
-
-
-def test_single_precision_over_a_thousand_epochs():
-    """Position observed to 1 mm, a rate driven by 1e-4: single against double, relative."""
-    phi = np.array([[1.0, 0.02], [0.0, 1.0]])
-    q = 1e-8 * 0.02 * np.array([[0.02**2 / 3, 0.02 / 2], [0.02 / 2, 1.0]])
-    H, noise = np.array([[1.0, 0.0]]), np.full((1, 1, 1), 1e-6)
-    roots = []
-    for kind in (np.float64, np.float32):
-        L, mean = np.diag([1e3, 1e2]).astype(kind), np.zeros(2, kind)
-        for _ in range(1000):
-            L = predict_root(L, phi, q)
-            assert L.dtype == kind
-            condition_root(mean, L, np.zeros(1, kind), H.astype(kind), noise.astype(kind))
-        roots.append(L.astype(float))
-    double, single = (L @ L.T for L in roots)
-    np.testing.assert_allclose(single, double, rtol=2e-3)
-    # the plain form in single precision has nothing left: a variance of 0, and no gain for ever
-    P = np.diag([1e6, 1e4]).astype(np.float32)
-    phi, q, H = (x.astype(np.float32) for x in (phi, q, H))
-    worst = np.inf
-    for _ in range(1000):
-        P = phi @ P @ phi.T + q
-        K = P @ H.T / (H @ P @ H.T + np.float32(1e-6))
-        P = P - K @ H @ P
-        worst = min(worst, np.linalg.eigvalsh(P.astype(float)).min())
-    assert worst <= 0.0
 
 
 @pytest.mark.nojit

@@ -1,7 +1,5 @@
 """UD form: the same filter in double precision, and a better one in single."""
 
-from fractions import Fraction
-
 import numpy as np
 import pytest
 
@@ -80,27 +78,15 @@ def test_no_measurement_leaves_the_prediction(make):
     assert found.nis == 0.0
 
 
-def exact_posterior(P, H, R):
-    """P - P H' (H P H' + diag R)^-1 H P, row after row, in rational numbers."""
-    P = [[Fraction(float(x)) for x in row] for row in P]
-    n = len(P)
-    for row, r in zip(H, R, strict=True):
-        h = [Fraction(float(x)) for x in row]
-        Ph = [sum(P[i][j] * h[j] for j in range(n)) for i in range(n)]
-        s = sum(h[i] * Ph[i] for i in range(n)) + Fraction(float(r))
-        P = [[P[i][j] - Ph[i] * Ph[j] / s for j in range(n)] for i in range(n)]
-    return np.array([[float(x) for x in row] for row in P])
-
-
 @pytest.mark.nojit
 @pytest.mark.parametrize("r", [1.0, 0.0])
-def test_exact_measurements(r):
+def test_exact_measurements(make, r):
     """Also a noise of zero, after which nothing is left of that direction; against rationals."""
     P = np.array([[4.0, 1.0, 0.5], [1.0, 3.0, 0.0], [0.5, 0.0, 2.0]])
     H, noise = np.array([[1.0, 2.0, 0.0], [0.0, 1.0, -1.0]]), np.array([0.0, r])
     F, mean = factor_ud(P), np.zeros(3)
     nis = condition_ud(mean, F, np.array([1.0, 2.0]), H, noise[:, None, None])
-    expected = exact_posterior(P, H, noise)
+    expected = make.exact_posterior(P, H, noise)
     np.testing.assert_allclose(cov_ud(F), expected, atol=1e-14)
     assert H[0] @ mean == pytest.approx(1.0, abs=1e-14)
     S = H @ P @ H.T + np.diag(noise)
@@ -132,49 +118,6 @@ def test_singular_noise_of_a_block(make):
     K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R[0])
     np.testing.assert_allclose(cov_ud(F), P - K @ H @ P, atol=1e-13)
     np.testing.assert_allclose(mean, K @ [0.5, -0.25], atol=1e-13)
-
-
-@pytest.mark.nojit
-def test_single_precision_stays_definite_where_joseph_does_not():
-    """Two nearly collinear, very exact measurements (Grewal & Andrews, 3rd ed., example 6.2)."""
-    delta = 2e-4
-    H = np.array([[1.0, 1.0, 1.0], [1.0, 1.0, 1.0 + delta]], np.float32)
-    P, r = np.eye(3, dtype=np.float32), np.float32(delta**2)
-    expected = exact_posterior(P, H, [r, r])
-
-    S = H @ P @ H.T + r * np.eye(2, dtype=np.float32)
-    K = np.linalg.solve(S, H @ P).T
-    assert S.dtype == K.dtype == np.float32
-    short = P - K @ S @ K.T
-    assert np.linalg.eigvalsh(short.astype(float))[0] < 0.0
-    left = np.eye(3, dtype=np.float32) - K @ H
-    joseph = left @ P @ left.T + r * K @ K.T
-    assert abs(joseph - expected).max() > 0.5 * abs(expected).max()
-
-    F, mean = P.copy(), np.zeros(3, np.float32)
-    condition_ud(mean, F, np.zeros(2, np.float32), H, np.full((2, 1, 1), r, np.float32))
-    assert F.dtype == np.float32
-    found = cov_ud(F.astype(float))
-    least = np.linalg.eigvalsh(expected)[0]
-    assert np.linalg.eigvalsh(found)[0] == pytest.approx(least, rel=0.05)
-    np.testing.assert_allclose(found, expected, atol=2e-3 * np.abs(expected).max())
-
-
-def test_single_precision_over_a_thousand_epochs():
-    """Position observed to 1 mm, a rate driven by 1e-4: single against double, relative."""
-    phi = np.array([[1.0, 0.02], [0.0, 1.0]])
-    q = 1e-8 * 0.02 * np.array([[0.02**2 / 3, 0.02 / 2], [0.02 / 2, 1.0]])
-    H, noise = np.array([[1.0, 0.0]]), np.full((1, 1, 1), 1e-6)
-    found = []
-    for kind in (np.float64, np.float32):
-        F, mean = np.diag([1e6, 1e4]).astype(kind), np.zeros(2, kind)
-        for _ in range(1000):
-            F = predict_ud(F, phi, q)
-            assert F.dtype == kind
-            condition_ud(mean, F, np.zeros(1, kind), H.astype(kind), noise.astype(kind))
-            assert np.all(np.diag(F) >= 0.0)
-        found.append(cov_ud(F.astype(float)))
-    np.testing.assert_allclose(found[1], found[0], rtol=2e-3)
 
 
 @pytest.mark.parametrize("form", FORMS)

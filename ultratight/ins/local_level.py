@@ -341,17 +341,14 @@ def _add_product(A: np.ndarray, B: np.ndarray, scale: float, out: np.ndarray, an
 def _carry(D: np.ndarray, Q: np.ndarray, X: np.ndarray) -> None:
     """Q <- (I + D) Q (I + D)', symmetric to the last bit; X (n, n) is room."""
     n = Q.shape[0]
-    for i in range(n):
-        for j in range(n):
-            X[i, j] = Q[i, j]
-    _add_product(D, Q, 1.0, X, False)
-    for i in range(n):
-        for j in range(n):
-            Q[j, i] = X[i, j]  # transposed
-    for i in range(n):
-        for j in range(n):
-            X[i, j] = Q[i, j]
-    _add_product(D, X, 1.0, Q, False)
+    for _ in range(2):  # Q <- Q' (I + D)', of a Q that is symmetric at first
+        for i in range(n):
+            for j in range(n):
+                X[i, j] = Q[i, j]
+        _add_product(D, Q, 1.0, X, False)
+        for i in range(n):
+            for j in range(n):
+                Q[j, i] = X[i, j]
     for i in range(n):
         for j in range(i):
             s = 0.5 * (Q[i, j] + Q[j, i])
