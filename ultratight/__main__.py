@@ -239,14 +239,15 @@ def _chosen(
 
 def _refuse_meaningless(chosen: Scenario, **options: str | None) -> None:
     """Refuse options that the chosen closure has no use for."""
+    from ultratight.consistency import TIGHT
     from ultratight.scenario import Unsupported
 
     closure = chosen.receiver.closure
-    if closure == "ultra-tight":
+    if closure in TIGHT:
         return
     lines = [
         f"--{name}: {value} given, but closure {closure} has no {name}; "
-        "expected --closure ultra-tight, or no such option"
+        "expected --closure ultra-tight or federated, or no such option"
         for name, value in options.items()
         if value is not None
     ]

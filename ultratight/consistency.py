@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 Label = Literal["L1CA", "L1CD", "L1CP", "L2CM", "L2CL", "L5I", "L5Q", "E5AI", "E5AQ", "E1B", "E1C"]
 """Signals of the satellites that there are orbits for, see `signals.codes`"""
+TIGHT = ("ultra-tight", "federated")
+"""Closures of INS and a filter of one's choice"""
 ROW_S = 0.02
 """Closures of 1 ms epochs keep a row this often"""
 NODE_S = 0.005
@@ -31,7 +33,7 @@ SPEED_LIMIT_MPS = 12_000.0
 def contradictions(s: Scenario) -> Found:
     """(keys concerned, what is wrong) for every rule that joins several keys."""
     front_end, receiver, found = s.front_end, s.receiver, []
-    rate, epoch = front_end.sample_rate_hz, receiver.epoch_s
+    rate = front_end.sample_rate_hz
 
     def refuse(keys: str, given: object, expected: str) -> None:
         names = tuple(keys.split())
@@ -47,7 +49,9 @@ def contradictions(s: Scenario) -> Found:
             f"{front_end.if_hz:g}",
             f"less than half the sample rate ({rate / 2:g}) in magnitude",
         )
-    tight = receiver.closure == "ultra-tight"
+    tight, federated = receiver.closure in TIGHT, receiver.closure == "federated"
+    key = "receiver.federated.update_s" if federated else "receiver.epoch_s"
+    epoch = receiver.federated.update_s if federated else receiver.epoch_s
     if not _is_multiple(receiver.vector.update_s, ROW_S):
         update = f"{receiver.vector.update_s:g}"
         refuse("receiver.vector.update_s", update, f"a multiple of {ROW_S:g} s, a data bit")
@@ -56,12 +60,11 @@ def contradictions(s: Scenario) -> Found:
     if not tight and not _is_multiple(s.duration_s, ROW_S):
         refuse("duration_s", f"{s.duration_s:g}", f"a multiple of {ROW_S:g} s, a data bit")
     if tight and not _is_multiple(s.duration_s, epoch):
-        refuse(
-            "duration_s receiver.epoch_s", f"{s.duration_s:g}", f"a multiple of epoch_s = {epoch:g}"
-        )
+        name = key.rpartition(".")[2]
+        refuse(f"duration_s {key}", f"{s.duration_s:g}", f"a multiple of {name} = {epoch:g}")
     if tight and not _is_multiple(epoch, 1.0 / s.imu.rate_hz):
         refuse(
-            "receiver.epoch_s imu.rate_hz",
+            f"{key} imu.rate_hz",
             f"{epoch:g}",
             f"a multiple of the IMU interval {1.0 / s.imu.rate_hz:g} s",
         )
@@ -85,6 +88,8 @@ def contradictions(s: Scenario) -> Found:
             f'"{receiver.measurement}" without receiver.knows.data_bits',
             'data_bits = true, "differential", or signals that are pilots',
         )
+    if federated:
+        found += _federated_contradictions(s)
     if s.jump_window_s and not s.jump_window_s[0] < s.jump_window_s[1] <= s.duration_s:
         refuse(
             "jump_window_s duration_s", config.show(s.jump_window_s), "start < end <= duration_s"
@@ -105,6 +110,22 @@ def contradictions(s: Scenario) -> Found:
         _vibration_contradictions, _disturbance_contradictions,
     )  # fmt: skip
     return found + [line for part in parts for line in part(s)]
+
+
+def _federated_contradictions(s: Scenario) -> Found:
+    """Measurements and filters that the pre-filters leave no room for."""
+    from ultratight.filters.catalog import reads_taps
+
+    found: Found = []
+    if s.receiver.measurement == "half-bits":
+        keys = "receiver.measurement", "receiver.closure"
+        text = '"half-bits" given, expected "coherent" or "differential" with closure federated'
+        found.append((keys, f"{keys[0]}: {text}: its pre-filters take half bits in any case"))
+    if reads_taps(s.receiver.filter):
+        keys = "receiver.filter", "receiver.closure"
+        text = f'"{s.receiver.filter}" given, expected a filter that does not look into the taps'
+        found.append((keys, f"{keys[0]}: {text}: with closure federated it is given ranges"))
+    return found
 
 
 def _all_pilots(s: Scenario) -> bool:
@@ -137,7 +158,7 @@ def _signal_contradictions(s: Scenario) -> Found:
         return found
     from signals.codes import facts
 
-    if s.receiver.closure != "ultra-tight":
+    if s.receiver.closure not in TIGHT:
         refuse(
             "receiver.closure signals",
             f'"{s.receiver.closure}" with signals {shown}',

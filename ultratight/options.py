@@ -24,7 +24,8 @@ FilterName = Annotated[
     str | None, typer.Option("--filter", metavar="NAME", help="see `ultratight filters`")
 ]
 Closure = Annotated[
-    str | None, typer.Option(metavar="NAME", help="ultra-tight, vdfll, vdll, scalar or scalar-ins")
+    str | None,
+    typer.Option(metavar="NAME", help="ultra-tight, federated, vdfll, vdll, scalar, scalar-ins"),
 ]
 Measurement = Annotated[str | None, typer.Option(metavar="NAME", help="coherent or differential")]
 Correlator = Annotated[

@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from ultratight import plots_text
+from ultratight.consistency import TIGHT
 from ultratight.plots_text import label
 from ultratight.results import Event, Run
 
@@ -296,7 +297,7 @@ def _telling_channel(run: Run) -> str:
 
 def _locked(run: Run, channel: str) -> list[tuple[float, float]]:
     """Spans (start, stop) in lock; where carrier loops pull in first, a run begins without."""
-    begins = run.scenario["receiver"]["closure"] in ("ultra-tight", "vdfll")
+    begins = run.scenario["receiver"]["closure"] in (*TIGHT, "vdfll")
     mine = [event for event in run.events if event.channel in (channel, "")]
     return _spans(run, mine, (REGAINED, LOCKED), (LOST, DIVERGED), begins)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Sequence
 
+from ultratight.consistency import TIGHT
 from ultratight.results import Run
 
 CLOSURES = {"scalar-ins": "scalar-INS", "vdll": "VDLL", "vdfll": "VDFLL"}
@@ -21,9 +22,10 @@ def label(run: Run) -> str:
     The names of our filters are acronyms; a user's own class keeps its name.
     """
     name = run.summary.get("filter")
-    if name:
-        return str(name).upper() if str(name).islower() else str(name)
     closure = str(run.summary.get("closure", "run"))
+    if name:
+        name = str(name).upper() if str(name).islower() else str(name)
+        return f"{name}, federated" if closure == "federated" else name
     return CLOSURES.get(closure, closure)
 
 
@@ -35,6 +37,8 @@ def title(runs: Sequence[Run], labels: Sequence[str], controls: Sequence[Run] = 
     who = ", ".join(labels)
     if closures == ["ultra-tight"]:
         who = f"ultra-tight, {s.get('measurement')} ({who})"
+    elif set(closures) <= set(TIGHT):
+        who = f"{s.get('measurement')} ({who})"
     taps = TAPS.get(str(s.get("correlator")), "")
     how = ", ".join(part for part in (who, taps, f"seed {first.seed}") if part)
     if not WITHOUT_IMU.issuperset(closures):

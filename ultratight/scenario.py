@@ -23,6 +23,7 @@ from ultratight.tables import (
     Atmosphere,
     Channel,
     Dbhz,
+    Federated,
     Imu,
     NotNegative,
     Positive,
@@ -152,21 +153,23 @@ class ProcessNoise(Table):
 class Receiver(LoopKeys):
     """Who closes the loop, with which filter and measurement, and what it knows."""
 
-    closure: Literal["ultra-tight", "scalar", "scalar-ins", "vdll", "vdfll"] = "ultra-tight"
-    """Who closes the loop: INS and filter, channel loops, those with INS aiding, vector loops"""
+    closure: Literal["ultra-tight", "federated", "scalar", "scalar-ins", "vdll", "vdfll"] = (
+        "ultra-tight"
+    )
+    """Who closes the loop: INS and filter, these fed by pre-filters, channel loops, vector loops"""
     filter: str = "fiqkf-r"
-    """Ultra-tight only; see `ultratight filters`, or your own: FILE.py:NAME, package.module:NAME"""
+    """Of both ultra-tight forms: see `ultratight filters`, or FILE.py:NAME, package.module:NAME"""
     states: Literal[17, 20] | None = None
     """20: three accelerometer scale factors more; by default what the filter's row says"""
     measurement: Literal["coherent", "half-bits", "differential"] = "coherent"
-    """Ultra-tight only: carrier phase with known data bits, of whole or half bits, or its change"""
+    """Carrier phase with known data bits, of whole or half bits, or without (its change)"""
     epoch_s: Annotated[float, Field(ge=0.001, le=0.1)] = 0.02
-    """Ultra-tight closure: one filter step and one command; scalar loops close at their own"""
-    """Ultra-tight only: how often the filter updates"""
+    """Ultra-tight closure: one filter step and one command; the others have their own"""
     hand_over_s: NotNegative = 2.0
     """A coherent receiver starts with differential measurements and changes over at this time"""
     fall_back: bool = True
     """To differential measurements on loss of lock, and back after ``hand_over_s``"""
+    federated: Federated = Federated()
     vector: Vector = Vector()
     knows: Knows = Knows()
     process_noise: ProcessNoise = ProcessNoise()

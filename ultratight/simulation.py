@@ -10,6 +10,7 @@ import numpy as np
 
 from signals.nco import Correlator, Nco, Taps
 from ultratight import metrics
+from ultratight.consistency import TIGHT
 from ultratight.filters.catalog import make_filter
 from ultratight.filters.gaussian import Filter
 from ultratight.history import History, carrier_error_hz, sky_variables, truth_variables
@@ -17,6 +18,7 @@ from ultratight.ins.imu import Increments
 from ultratight.provenance import provenance
 from ultratight.results import Event, Run
 from ultratight.scenario import InvalidInput, Scenario, Unsupported
+from ultratight.tracking.federated import Federated
 from ultratight.tracking.knows import Knows
 from ultratight.tracking.rows import Fields, Rows
 from ultratight.tracking.scalar import Scalar, ScalarSettings
@@ -32,7 +34,7 @@ PROGRESS_S = 0.5
 
 
 class Closure(Protocol):
-    """Who closes the loop: scalar, INS-aided scalar, vector or ultra-tight."""
+    """Who closes the loop: scalar, INS-aided scalar, vector, ultra-tight or its federated form."""
 
     events: list[tuple[float, int, str, str]]
     """(t_s, channel or -1, kind, reason)"""
@@ -165,7 +167,7 @@ def new_closure(scenario: Scenario, knows: Knows, filter: Filter | None = None) 
     """The receiver of a scenario, with nothing but what it knows."""
     r = scenario.receiver
     spacing, piece_s = scenario.correlator.spacing_chips, 1.0 / scenario.imu.rate_hz
-    if r.closure == "ultra-tight":
+    if r.closure in TIGHT:
         if filter is None:
             try:
                 filter = make_filter(r.filter)
@@ -176,9 +178,11 @@ def new_closure(scenario: Scenario, knows: Knows, filter: Filter | None = None) 
             half_bits=r.measurement == "half-bits" or getattr(filter, "half_bits", False),
             hand_over_s=r.hand_over_s,
             fall_back=r.fall_back,
-            epoch_s=r.epoch_s,
+            epoch_s=r.federated.update_s if r.closure == "federated" else r.epoch_s,
             states=getattr(filter, "states", 17) if r.states is None else r.states,
         )
+        if r.closure == "federated":
+            return Federated(knows, settings, filter, spacing, piece_s)
         return UltraTight(knows, settings, filter, spacing, piece_s)
     if filter is not None:
         raise Unsupported(f"receiver.closure: {r.closure!r} has no filter to replace")
@@ -210,7 +214,7 @@ def _summary(
     own: Filter | None,
 ) -> dict[str, Any]:
     r, (wall, loop) = scenario.receiver, took
-    tight = r.closure == "ultra-tight"
+    tight = r.closure in TIGHT
     name = (type(own).__name__ if own is not None else r.filter) if tight else None
     lost, off = (
         {

@@ -101,6 +101,16 @@ class Vector(Table):
     """11 states: sigma of the first acceleration, which starts at zero"""
 
 
+class Federated(Table):
+    """Closure federated: a pre-filter per channel between the taps and the central filter.
+
+    ``receiver.measurement`` "differential" needs no data bits.
+    """
+
+    update_s: Annotated[float, Field(ge=0.02, le=0.1)] = 0.04
+    """From hand-over to hand-over; INS and NCOs are corrected as often"""
+
+
 class Imu(Table):
     """The inertial sensors; a key that is left out is as the grade has it."""
 

@@ -24,7 +24,7 @@ from ultratight.filters.gaussian import (
     Update,
 )
 from ultratight.filters.interval import IntervalQ, VelocityQ, intersect_boxes, intersect_printed
-from ultratight.filters.jump_triggered import IO, J1, JTQ, JTQ_E, JTQ_R
+from ultratight.filters.jump_triggered import IO, J1, JTQ, JTQ_E, JTQ_R, JumpOptions
 from ultratight.filters.multiple_model import IMM3, MMAE, ImmOptions
 from ultratight.filters.robust import Ishakf
 from ultratight.filters.rules import Rule, get_rule
@@ -200,6 +200,17 @@ CATALOG: dict[str, Recipe] = {
                  4, several=IO),
 }  # fmt: skip
 """Name -> recipe"""
+
+
+def reads_taps(name: str) -> bool:
+    """Is this a recipe of the catalogue that needs to know what the taps say, not only of what?
+
+    Moments in closed form are those of taps, and JTQ and its kin relinearise them.
+    """
+    recipe = CATALOG.get(name)
+    if recipe is None:
+        return False
+    return get_rule(recipe.rule).closed_form or isinstance(recipe.several, JumpOptions)
 
 
 class RecipeFilter:

@@ -96,11 +96,11 @@ def update_one(x: np.ndarray, P: np.ndarray, h: np.ndarray, nu: float, variance:
     """Take in a scalar innovation nu = z - h x with noise of that variance, in place."""
     Ph = P @ h
     S = variance
-    for j in range(4):
+    for j in range(x.size):
         S += h[j] * Ph[j]
-    for j in range(4):
+    for j in range(x.size):
         x[j] += Ph[j] / S * nu
-        for m in range(4):
+        for m in range(x.size):
             P[j, m] -= Ph[j] * Ph[m] / S
 
 

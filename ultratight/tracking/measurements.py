@@ -157,7 +157,7 @@ def measure_into(
         params[b, SPACING] = spacing
         radians_per_m = 2.0 * math.pi / params[b, WAVELENGTH]
         dt = span[b, T_MID] - t_s
-        _range_rows(s, i, dt, phase_start - 17, A[b])
+        range_rows(s, i, dt, phase_start - 17, A[b])
         data, column = 0.0, number[b] - first_bit
         if pilot[i]:
             data = 1.0
@@ -192,7 +192,7 @@ def _norm2(x: complex) -> float:
 
 
 @borrowing
-def _range_rows(s: Steering, i: int, dt: float, n_scale: int, A: np.ndarray) -> None:
+def range_rows(s: Steering, i: int, dt: float, n_scale: int, A: np.ndarray) -> None:
     """Rows of range (first) and range rate (last) of channel i at t + dt, from the state at t.
 
     y = A Phi(dt) x, gravity gradient left out.

@@ -128,6 +128,10 @@ class UltraTight:
             self._step_at_once(taps, self.rule)
             return
         measurement = self._measurement(self.half_bits.pair(taps, self.steering))
+        self._step_by_filter(measurement, *self._transition())
+
+    def _transition(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Phi and Q of the epoch; force (2, 3): its mean and its change."""
         force = np.empty((2, 3))
         n = self.layout.n
         phi, q, work = np.empty((n, n)), np.empty((n, n)), np.empty((n + 1, n))
@@ -136,7 +140,7 @@ class UltraTight:
             self.layout.n_phase, self.clock_lag_s, self._densities, self.epoch == 0, work, phi, q,
             force,
         )  # fmt: skip
-        self._step_by_filter(measurement, phi, q, force)
+        return phi, q, force
 
     def _step_at_once(self, taps: Taps, rule: Rule) -> None:
         """The same in one compiled call, and what that leaves to Python."""
@@ -208,10 +212,7 @@ class UltraTight:
     def _accept(self, u: Update, measurement: Measurement) -> None:
         """Feed an update back, and see what it means for lock."""
         mean, cov = np.ascontiguousarray(u.mean), np.ascontiguousarray(u.cov)
-        outcome = settle(
-            self.steering.buffer, self.sky.arcs, mean, cov, self.layout.phase.start, self.no_phase,
-            self.t_s,
-        )  # fmt: skip
+        outcome = self._settle(mean, cov)
         if outcome != NOT_FINITE:
             self.told = float(u.nis), float(u.innovation.size), float(u.lam)
             self.cov = cov
@@ -219,12 +220,25 @@ class UltraTight:
         if outcome != FINE:
             self._give_up(WHY[outcome])
             return
+        self._watch(u, measurement)
+        self.epoch += 1
+
+    def _settle(self, mean: np.ndarray, cov: np.ndarray) -> int:
+        """Feed the estimate back to INS, clock and NCOs; says what came of it, see `settle`."""
+        return int(
+            settle(
+                self.steering.buffer, self.sky.arcs, mean, cov, self.layout.phase.start,
+                self.no_phase, self.t_s,
+            )
+        )  # fmt: skip
+
+    def _watch(self, u: Update, measurement: Measurement) -> None:
+        """See what an epoch means for lock and for the measurement model."""
         self.events += self.lock.watch(self.t_s, measurement.channel, measurement.z)
         square = math.nan
         if self.coherent:
             square = self.lock.quadrature_square(u, measurement.z.shape[1])
         self._choose_model(square)
-        self.epoch += 1
 
     def _give_up(self, reason: str) -> None:
         """The filter has diverged: there is nothing left to steer with."""

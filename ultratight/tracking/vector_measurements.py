@@ -169,18 +169,24 @@ def _end_bit(i: int, bits: Bits) -> None:
         bits.mid_s[i, 1] - bits.mid_s[i, 0]
     )
     bits.prompt[i] = (first[1] + second[1]) / math.sqrt(2.0)
-    before, step = bits.step[i], turn.real - bits.amplitude2[i]
-    # Re(P2 conj P1) has the variance 2 A^2 + 2
-    limit = STEP_SIGMAS * math.sqrt(2.0 * max(bits.amplitude2[i], 0.0) + 2.0)
-    if min(abs(before), abs(step)) > limit and before * step > 0.0:
-        step = 0.5 * (before + step)
-        bits.amplitude2[i] += step
-        bits.step[i] = 0.0
-    else:
-        bits.amplitude2[i] += POWER_GAIN * step
-        bits.step[i] = (1.0 - POWER_GAIN) * step
+    bits.amplitude2[i], bits.step[i] = renewed(
+        bits.amplitude2[i], bits.step[i], turn.real, POWER_GAIN
+    )
     power = 0.5 * (abs(first[1]) ** 2 + abs(second[1]) ** 2)
     bits.coherence[i] += 2.5 * POWER_GAIN * (turn.real / max(power, 1e-30) - bits.coherence[i])
+
+
+@kernel
+def renewed(amplitude2: float, before: float, now: float, gain: float) -> tuple[float, float]:
+    """A^2 after a bit with Re(P2 conj P1) = now, and what that bit was above it.
+
+    ``before``: what the bit before was above it.  now has the variance 2 A^2 + 2.
+    """
+    step = now - amplitude2
+    limit = STEP_SIGMAS * math.sqrt(2.0 * max(amplitude2, 0.0) + 2.0)
+    if min(abs(before), abs(step)) > limit and before * step > 0.0:
+        return amplitude2 + 0.5 * (before + step), 0.0
+    return amplitude2 + gain * step, (1.0 - gain) * step
 
 
 @kernel
