@@ -4,8 +4,11 @@ runs what it finds."""
 from __future__ import annotations
 
 import json
+import os
+import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -15,6 +18,7 @@ import pytest
 
 from ultratight import study
 from ultratight.__main__ import main
+from ultratight.options import Interrupted
 
 STUDIES = Path(__file__).parents[1] / "studies"
 ROWS = json.loads((STUDIES / "ledger.json").read_text())
@@ -210,14 +214,58 @@ def test_command_lists_runs_and_tells_failures(
         (["third", "--dir", "{toy}/studies"], "'third', expected one of first, second"),
         (["first", "--all", "--dir", "{toy}/studies"], "expected names or --all"),
         (["first", "--quick", "--record", "--dir", "{toy}/studies"], "full numbers of seeds"),
+        (["first", "--jobs", "0", "--dir", "{toy}/studies"], "0 given, expected a whole number"),
+        (["first", "--out", "{toy}/file", "--dir", "{toy}/studies"], "file: cannot be written to"),
+        (["first", "--out", "{toy}/old", "--dir", "{toy}/studies"], "ledger.json: damaged"),
+        (["--dir", "{toy}/broken"], "bad.py: no Python script (invalid syntax"),
     ],
 )
 def test_command_refuses_in_one_line(arguments, expected, toy, capsys, monkeypatch) -> None:
     monkeypatch.chdir(toy / "studies")  # there is no ./studies in it
+    (toy / "file").write_text("")
+    for name, text in (("old/ledger.json", "[{"), ("broken/bad.py", "def (:\n")):
+        (toy / name).parent.mkdir()
+        (toy / name).write_text(text)
     assert main(["study", *(a.format(toy=toy) for a in arguments)]) == 2
     error = capsys.readouterr().err
     assert expected in error
     assert error.count("\n") == 1
+
+
+def test_a_study_that_fails_has_no_claims(toy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Those of an earlier run are not told as if they were new."""
+    row = {"id": "y", "study": "second", "claim": "c", "verdict": "met"}
+    (toy / "out").mkdir()
+    (toy / "out" / "ledger.json").write_text(json.dumps([row]))
+    words = ["study", "second", "--dir", str(toy / "studies"), "--out", str(toy / "out"), "--json"]
+    assert main(words) == 1
+    assert json.loads(capsys.readouterr().out)["claims"] == []
+
+
+def test_sigterm_ends_the_script_too(toy: Path) -> None:
+    """Nothing flies on unseen in the folder, which it would hold."""
+    path = toy / "studies" / "first.py"
+    mark = toy / "pid"
+    path.write_text(
+        f"import os, pathlib, time\npathlib.Path({str(mark)!r}).write_text(str(os.getpid()))\n"
+        "time.sleep(60.0)\n"
+    )
+
+    def terminate() -> None:
+        until = time.monotonic() + 60.0
+        while not (mark.exists() and mark.read_text()) and time.monotonic() < until:
+            time.sleep(0.02)
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    before = signal.getsignal(signal.SIGTERM)
+    thread = threading.Thread(target=terminate)
+    thread.start()
+    with pytest.raises(Interrupted, match="finished runs are kept"):
+        study._run(path, [], toy / "out" / "first", None)
+    thread.join()
+    assert signal.getsignal(signal.SIGTERM) is before
+    with pytest.raises(ProcessLookupError):
+        os.kill(int(mark.read_text()), 0)
 
 
 def test_counting_left_to_a_script_that_cannot_is_no_failure(toy: Path) -> None:

@@ -7,6 +7,7 @@ import pytest
 
 import ultratight
 from ultratight.monte_carlo import plan
+from ultratight.sweeps import dataset
 
 SHORT = {"duration_s": 1.0, "prns": [2, 6, 17, 28], "jump_window_s": [0.2, 0.5]}
 OVER = {"receiver.filter": ["kf", "fiqkf-r"], "cause": {"off": {}, "lag": {"imu.lag_s": 0.01}}}
@@ -65,9 +66,50 @@ def test_run_r_depends_on_nothing_else() -> None:
             {"cn0_dbhz": list(range(20, 60)), "imu.lag_s": [k / 100 for k in range(26)]},
             "1040 cells",
         ),
+        ([("imu.lag_s", [0.1])], "over: "),
+        ({3: [0.1]}, "over: "),
+        ({"cause": {"late": 0.1}}, "over cause: late is 0.1, expected a table of keys"),
+        ({"run": {"a": {}}}, "over run: a name that results have"),
+        ({"converged": {"a": {}}}, "over converged: a name that results have"),
+        ({"position_rms_end_m": {"a": {}}}, "over position_rms_end_m: a name that results have"),
+        ({"nis": {"a": {}}}, "over nis: a name that results have"),
+        ({"a/b": {"a": {}}}, "over a/b: a name that results have or no file can hold"),
     ],
 )
 def test_bad_axes_are_refused_before_work(over: dict, words: str) -> None:
     with pytest.raises(ultratight.InvalidInput) as refused:
         plan(short(), over)
+    assert len(refused.value.problems) == 1
     assert words in str(refused.value)
+
+
+def test_no_result_has_the_name_of_an_axis() -> None:
+    """Every variable and dimension of a sweep's Dataset is refused as the name of an axis."""
+    data = ultratight.sweep(short(), {"cause": {"off": {}}}, jobs=1, keep=("cn0",))
+    assert {str(name) for name in data.variables} - {"cause"} <= dataset.TAKEN
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"keep": ("cn0", "cn0")}, "keep: 'cn0' given twice"),
+        ({"keep": "cn0"}, "keep: 'cn0' given, expected a list"),
+        ({"keep": ("cn0",), "every_s": 2.0}, "every_s: 2.0 given, expected no more than the 1 s"),
+        ({"every_s": "fast"}, "every_s: fast given"),
+        ({"filters": ["mine"]}, 'filters: ["mine"] given'),
+        ({"max_cells": 0}, "max_cells: 0 given"),
+        ({"runs": 10**12}, "runs: 1000000000000 of 1 cells given, expected at most 100000000"),
+    ],
+)
+def test_bad_arguments_are_refused_before_work(arguments: dict, words: str) -> None:
+    with pytest.raises(ultratight.InvalidInput) as refused:
+        plan(short(), **arguments)
+    assert words in str(refused.value)
+
+
+def test_numpy_values_are_values() -> None:
+    """A grid by `numpy.arange` or a matrix of scale factors is what the same lists are."""
+    cn0, ppm = np.arange(30, 32), np.diag([1.0, 2.0, 3.0])[:2]
+    given = plan(short(), {"cn0_dbhz": cn0, "imu.accel_scale_factor_ppm": list(ppm)})
+    plain = plan(short(), {"cn0_dbhz": [30, 31], "imu.accel_scale_factor_ppm": ppm.tolist()})
+    assert given.axes == plain.axes

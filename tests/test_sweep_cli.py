@@ -123,7 +123,13 @@ def test_dry_run_flies_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str
         (["--over", "receiver.filter=ekf9", "--out", "x"], 'receiver.filter: "ekf9" given'),
         (["--keep", "speed", "--out", "x"], "keep: 'speed' given"),
         (["--runs", "0", "--out", "x"], "runs: 0 given"),
+        (["--runs", "1e3", "--out", "x"], "'1e3' given, expected a whole number"),
+        (["--every", "often", "--out", "x"], "'often' given, expected a number"),
         (["--jobs", "0", "--out", "x"], "jobs: 0 given"),
+        (["--jobs", "0", "--dry-run"], "jobs: 0 given"),
+        (["--jobs", "-1", "--dry-run"], "'-1' given, expected a whole number"),
+        (["--cluster", "tcp://127.0.0.1:9", "--out", "x"], "jobs: 1 given, expected none"),
+        (["--max-cells", "0", "--out", "x"], "max_cells: 0 given"),
     ],
 )
 def test_bad_input_is_refused_before_work(
@@ -136,6 +142,18 @@ def test_bad_input_is_refused_before_work(
     out, err = capsys.readouterr()
     assert said in err
     assert json.loads(out)["error_kind"] == "invalid_input"
+
+
+def test_the_time_of_a_filter_that_fails(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A sweep records such runs, so a dry run of it is no failure."""
+    (tmp_path / "mine.py").write_text(
+        "class Mine:\n    def reset(self): pass\n    def step(self, *_): raise KeyError('x')\n"
+    )
+    words = [*BASE, "--over", f"receiver.filter={tmp_path}/mine.py:Mine", "--dry-run"]
+    assert main(words) == 0
+    assert capsys.readouterr().out.splitlines()[-1].startswith("1 cells, 1 runs: about ")
 
 
 def test_ctrl_c_keeps_what_is_finished(tmp_path: Path) -> None:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import shutil
+from functools import partial
 from pathlib import Path
+from types import FunctionType
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ import ultratight
 from ultratight.__main__ import main
 from ultratight.filters.catalog import make_filter
 from ultratight.filters.gaussian import Gaussian, Measurement, Prediction, Update
+from ultratight.sweeps.work import factory_sha256
 
 SHORT = {"duration_s": 1.0, "prns": [2, 6, 17, 28]}
 MINE = """
@@ -182,3 +185,51 @@ def test_divergence_is_a_result() -> None:
     assert (data.failure == "").all()
     assert not data.converged.any()
     assert np.isnan(data.velocity_rms_mps.sel(window="end")).all()
+
+
+def test_copies_are_what_the_sweep_flew_with(folder: Path, tmp_path: Path) -> None:
+    """A changed copy is refused where a run is flown again, and made good where they go on."""
+    moved = shutil.copytree(folder, tmp_path / "elsewhere")
+    label = swept(folder)["filter"][1]
+    (copy,) = moved.glob("inputs/*/mine.py")
+    copy.write_text(MINE.replace("qkf3", "kf"))
+    with pytest.raises(ultratight.InvalidInput, match="has been changed, expected the copy"):
+        ultratight.rerun(moved, 0, {"filter": label, "cause": "off"})
+    over = {
+        "receiver.filter": ["kf", label],
+        "cause": {"off": {}, "late": {"imu.lag_s": 0.01, "cn0_dbhz": 40.0}},
+    }
+    ultratight.sweep(scenario(), over, runs=3, seed=4, jobs=1, out=moved, keep=("nis",))
+    assert copy.read_text() == MINE
+
+
+def test_a_factory_is_known_by_what_it_is_bound_to() -> None:
+    """A folder must not mix filters that differ in a number which their source does not say."""
+
+    def known(sigma: object) -> list[str]:
+        return [
+            factory_sha256(factory, "mine")
+            for factory in (
+                lambda: (make_filter("kf"), sigma),
+                lambda s=sigma: (make_filter("kf"), s),
+                partial(make_filter, sigma),
+            )
+        ]
+
+    assert known(0.1) == known(0.1)
+    assert not set(known(0.1)) & set(known(0.2))
+    assert known(make_filter) == known(make_filter)
+    with pytest.raises(ultratight.InvalidInput, match="mine is bound to"):
+        known(object())
+
+
+def test_a_factory_is_known_by_the_numbers_of_its_module() -> None:
+    def known(sigma: float) -> str:
+        names: dict = {"sigma": sigma, "make_filter": make_filter, "__name__": __name__}
+        return factory_sha256(FunctionType(made_globally.__code__, names), "mine")
+
+    assert known(0.1) == known(0.1) != known(0.2)
+
+
+def made_globally() -> object:
+    return make_filter("kf"), sigma  # noqa: F821

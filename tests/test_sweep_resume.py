@@ -114,6 +114,23 @@ def test_a_damaged_line_is_flown_again(tmp_path: Path, whole: tuple[str, bytes])
     assert len(after) == len(lines) + 1  # the damaged one stays, and counts for nothing
 
 
+def test_disk_full_at_once(tmp_path: Path) -> None:
+    """Not even room for the first line, of which nothing is left."""
+    done = in_a_process(
+        """
+        resource.setrlimit(resource.RLIMIT_FSIZE, (300, -1))
+        try:
+            sweep(Path(sys.argv[1]))
+        except OSError as error:
+            print(error)
+        """,
+        tmp_path,
+    )
+    path = tmp_path / "journal.txt"
+    assert done.stdout == f"{path}: cannot be written (File too large)\n"
+    assert path.read_bytes() == b""
+
+
 @pytest.mark.parametrize("share", [0.5, 1.2])
 def test_disk_full(tmp_path: Path, whole: tuple[str, bytes], share: float) -> None:
     """No file may grow beyond some bytes: half of the journal, or all of it but not the Dataset."""
@@ -132,6 +149,8 @@ def test_disk_full(tmp_path: Path, whole: tuple[str, bytes], share: float) -> No
     n = len(science(kept))
     assert 0 < n < 2 * RUNS or share > 1.0
     assert len(done.stdout.splitlines()) == 1, done.stderr
+    assert "Traceback" not in done.stderr
+    assert "cannot be written (File too large); 12 of 12" in done.stdout or share < 1.0
     assert "File too large" in done.stdout
     assert f"{n} of {2 * RUNS} runs are kept" in done.stdout
     assert sorted(p.name for p in tmp_path.iterdir()) == ["journal.txt"]
@@ -181,11 +200,46 @@ def test_another_sweep_is_refused(
     assert ultratight.sweep(scenario, **arguments, fresh=True).attrs["digest"] != whole[0]
 
 
-def test_foreign_and_busy_folders_are_refused(tmp_path: Path) -> None:
-    (tmp_path / "journal.txt").write_text("shopping list\n")
-    with pytest.raises(ultratight.InvalidInput, match="not a journal"):
-        sweep(tmp_path)
-    assert (tmp_path / "journal.txt").read_text() == "shopping list\n"
+@pytest.mark.parametrize("fresh", [False, True])
+@pytest.mark.parametrize("text", ["shopping list\n", "no line's end", "deadbeef {}", "\0" * 99])
+def test_what_others_wrote_stays(tmp_path: Path, text: str, fresh: bool) -> None:
+    """Not even --fresh forgets a file that is no journal."""
+    (tmp_path / "journal.txt").write_text(text)
+    with pytest.raises(ultratight.InvalidInput, match=r"not a journal .* expected another folder"):
+        ultratight.sweep("uniform", out=tmp_path, fresh=fresh)
+    assert (tmp_path / "journal.txt").read_text() == text
+
+
+def test_leftovers_are_cleared(
+    tmp_path: Path, whole: tuple[str, bytes], caplog: pytest.LogCaptureFixture
+) -> None:
+    """What a killed process was writing goes, a damaged line is told."""
+    lines = whole[1].splitlines(keepends=True)
+    (tmp_path / "journal.txt").write_bytes(b"".join(lines[:-1]) + b"0" + lines[-1])
+    (tmp_path / ".sweep.nc.123.part").write_text("half")
+    assert sweep(tmp_path) == whole[0]
+    assert "journal.txt: 1 damaged lines are left out" in caplog.text
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["journal.txt", "sweep.nc"]
+
+
+def test_a_sweep_begun_anew_has_no_old_result(
+    tmp_path: Path, whole: tuple[str, bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Cut short before its first run is finished, it leaves no Dataset of the one before."""
+    (tmp_path / "journal.txt").write_bytes(whole[1])
+    (tmp_path / "sweep.nc").write_text("of the sweep before")
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError("no room")
+
+    monkeypatch.setattr("ultratight.sweeps.flights.simulate", full)
+    scenario = ultratight.load("uniform", {"duration_s": 1.0, "prns": [2, 6, 17, 28]})
+    with pytest.raises(OSError, match=f"no room; 0 of {2 * RUNS} runs are kept"):
+        ultratight.sweep(scenario, OVER, runs=RUNS, jobs=1, out=tmp_path, fresh=True)
+    assert [p.name for p in tmp_path.iterdir()] == ["journal.txt"]
+
+
+def test_busy_folders_are_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(ultratight.InvalidInput, match="expected a folder"):
         sweep(tmp_path / "file")

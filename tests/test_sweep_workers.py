@@ -153,10 +153,54 @@ def test_an_own_filter_and_files_reach_a_cluster(tmp_path: Path) -> None:
         fly(task._replace(code=code() | {"numpy": "0.1"}))
 
 
+def test_threads_load_an_own_filter_once(tmp_path: Path) -> None:
+    """A worker of several threads: none of them finds half of a module that another one loads."""
+    from concurrent.futures import ThreadPoolExecutor
+
+    from ultratight.filters import own
+
+    file = tmp_path / "slow.py"
+    file.write_text(
+        "import time\ntime.sleep(0.2)\nfrom ultratight.filters.catalog import make_filter\n"
+        "def make():\n    return make_filter('kf')\n"
+    )
+    with ThreadPoolExecutor(4) as threads:
+        made = list(threads.map(lambda _: own.make(f"{file}:make"), range(4)))
+    assert all(callable(one.step) for one in made)
+
+
+def test_a_cluster_that_goes_is_no_bad_input(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It was there when the sweep began: what is finished is kept, and the exit code is 1."""
+    from ultratight.sweeps import workers
+
+    monkeypatch.setattr(workers, "CONNECT_S", 1)
+    with (
+        pytest.raises(OSError, match="cannot be reached"),
+        workers._client("tcp://127.0.0.1:9", began=True),
+    ):
+        pass
+
+
+@pytest.mark.parametrize(("jobs", "n_run", "n"), [(500, 3, 3), (500, 1, 2), (1, 9, 1), (2, 9, 2)])
+def test_no_more_processes_than_runs(jobs: int, n_run: int, n: int) -> None:
+    """But two at least where two were asked for: one that is killed leaves this one alone."""
+    from ultratight.sweeps.workers import _backend
+
+    with _backend(None, jobs, n_run, began=False) as n_worker:
+        assert n_worker == n
+
+
 @pytest.mark.parametrize(
     ("arguments", "error", "words"),
     [
-        ({"executor": "tcp://127.0.0.1:9"}, OSError, "cannot be reached"),
+        (
+            {"executor": "tcp://127.0.0.1:9"},
+            ultratight.InvalidInput,
+            "cluster: 'tcp://127.0.0.1:9' given, expected the address of a Dask scheduler",
+        ),
+        ({"executor": "host"}, ultratight.InvalidInput, "cluster: 'host' given, expected"),
+        ({"executor": ""}, ultratight.InvalidInput, "cluster: '' given, expected"),
+        ({"executor": "tcp://127.0.0.1:9", "jobs": 2}, ultratight.InvalidInput, "jobs: 2 given"),
         ({"executor": 3}, ultratight.InvalidInput, "executor: a int given"),
         ({"jobs": 0}, ultratight.InvalidInput, "jobs: 0 given"),
         ({"runs": 0}, ultratight.InvalidInput, "runs: 0 given"),

@@ -28,9 +28,8 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ultratight.config import InvalidInput
 from ultratight.scenario import Scenario
-from ultratight.sweeps import dataset
+from ultratight.sweeps import dataset, workers
 from ultratight.sweeps.cells import Factories, Over
 from ultratight.sweeps.plan import MAX_CELLS, Plan, plan
 from ultratight.sweeps.rerun import Rerun, rerun
@@ -120,10 +119,11 @@ def carry_out(
     progress: Callable[[float], None] | None = None,
 ) -> xarray.Dataset:
     """Fly a plan; see `sweep`."""
-    if jobs is not None and (isinstance(jobs, bool) or not isinstance(jobs, int) or jobs < 1):
-        raise InvalidInput(f"jobs: {jobs} given, expected a whole number from 1")
+    workers.check(executor, jobs)
     with ExitStack() as stack:
-        folder = writable(out or stack.enter_context(tempfile.TemporaryDirectory()))
+        folder = writable(
+            stack.enter_context(tempfile.TemporaryDirectory()) if out is None else out
+        )
         work = Work(planned, folder, fresh)
         stack.callback(work.journal.close)
         work.fly(executor, jobs, progress)

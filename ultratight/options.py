@@ -38,15 +38,24 @@ Quiet = Annotated[bool, typer.Option("--quiet", help="no progress, no warnings")
 Json = Annotated[bool, typer.Option("--json", help="print one JSON object")]
 
 
-def _whole(given: str | int) -> int:
+def whole(given: str | int) -> int:
+    """A whole number from the command line, none of them negative."""
     text = str(given)  # the default comes as a number
     if not (text.isascii() and text.isdigit() and int(text) < 2**63):
         raise typer.BadParameter(f"{text!r} given, expected a whole number from 0 to 2^63 - 1")
     return int(text)
 
 
+def number(given: str | float) -> float:
+    """A number from the command line."""
+    try:
+        return float(given)
+    except ValueError:
+        raise typer.BadParameter(f"{given!r} given, expected a number") from None
+
+
 Seed = Annotated[
-    int, typer.Option("--seed", parser=_whole, metavar="N", help="seed of every random stream")
+    int, typer.Option("--seed", parser=whole, metavar="N", help="seed of every random stream")
 ]
 
 

@@ -11,8 +11,10 @@ from __future__ import annotations
 import ast
 import json
 import os
+import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,7 +24,7 @@ from typing import Annotated, Any
 import typer
 
 from ultratight.config import InvalidInput
-from ultratight.options import Interrupted, Json
+from ultratight.options import Interrupted, Json, whole
 
 LEDGER = "ledger.json"
 
@@ -52,7 +54,7 @@ def study(
         bool, typer.Option("--fresh", help="forget the results that are there")
     ] = False,
     jobs: Annotated[
-        int | None, typer.Option(metavar="J", min=1, help="processes; default: all cores")
+        int | None, typer.Option(metavar="J", parser=whole, help="processes; default: all cores")
     ] = None,
     record: Annotated[
         bool, typer.Option("--record", help="also into DIR: ledger.json, README.md, figures")
@@ -71,10 +73,14 @@ def study(
     chosen = choose(scripts, names or [], everything)
     if record and quick:
         raise InvalidInput("--record: --quick given too, expected full numbers of seeds to record")
+    if jobs == 0:
+        raise InvalidInput("--jobs: 0 given, expected a whole number from 1")
     options = ["--jobs", str(jobs or os.cpu_count() or 1)]
     options += ["--quick"] * quick + ["--fresh"] * fresh + ["--record"] * record
+    _rows(out / LEDGER)  # readable, or hours of work would end with an error
     results = _run_all(chosen, options, out, talk=not as_json)
-    rows = [row for row in _rows(out / LEDGER) if row["study"] in chosen]
+    done = {result.name for result in results if result.exit_code == 0}
+    rows = [row for row in _rows(out / LEDGER) if row["study"] in done]
     if as_json:
         told = [vars(result) for result in results]
         print(json.dumps({"studies": told, "claims": rows}))
@@ -107,8 +113,14 @@ def choose(scripts: dict[str, Path], names: Sequence[str], everything: bool) -> 
 
 def headline(path: Path) -> str:
     """First line of a script's docstring, "" if it has none."""
-    text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
-    return text.partition("\n")[0]
+    try:
+        tree = ast.parse(path.read_bytes())
+    except (SyntaxError, ValueError) as error:
+        why = f"{getattr(error, 'msg', error)}, line {getattr(error, 'lineno', None) or '?'}"
+        raise InvalidInput(f"{path}: no Python script ({why}), expected a study") from None
+    except OSError as error:
+        raise InvalidInput(f"{path}: cannot be read ({error.strerror}), expected a study") from None
+    return (ast.get_docstring(tree) or "").partition("\n")[0]
 
 
 def lines(rows: Sequence[dict[str, Any]]) -> list[str]:
@@ -127,7 +139,12 @@ def lines(rows: Sequence[dict[str, Any]]) -> list[str]:
 
 def _run_all(chosen: dict[str, Path], options: list[str], out: Path, talk: bool) -> list[Result]:
     """One after the other; what a script prints goes to stderr when stdout is for JSON."""
-    out.mkdir(parents=True, exist_ok=True)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InvalidInput(
+            f"{out}: cannot be written to ({error.strerror}), expected a folder"
+        ) from None
     sizes = {name: _count(path, options, out / name) for name, path in chosen.items()}
     left, results = sum(sizes.values()), []
     began = time.monotonic()
@@ -145,15 +162,25 @@ def _run_all(chosen: dict[str, Path], options: list[str], out: Path, talk: bool)
 
 
 def _run(path: Path, options: list[str], out: Path, stdout: Any) -> int:
-    """Exit code of a script; an interrupt is passed on, as it reaches both processes."""
+    """Exit code of a script; Ctrl-C reaches both processes, SIGTERM is passed on."""
     command = [sys.executable, str(path), "--out", str(out), *options]
     process = subprocess.Popen(command, stdout=stdout, env=_environment())
+
+    def ended(*_: object) -> None:
+        process.terminate()
+        raise KeyboardInterrupt
+
+    main = threading.current_thread() is threading.main_thread()
+    before = signal.signal(signal.SIGTERM, ended) if main else None
     try:
         return process.wait()
     except KeyboardInterrupt:
         process.wait()
         kept = f"finished runs are kept in {out.parent}: the same command goes on from there"
         raise Interrupted(kept) from None
+    finally:
+        if main:
+            signal.signal(signal.SIGTERM, before)
 
 
 def _count(path: Path, options: list[str], out: Path) -> float:
@@ -174,7 +201,13 @@ def _environment() -> dict[str, str]:
 
 
 def _rows(path: Path) -> list[dict[str, Any]]:
-    return json.loads(path.read_text()) if path.is_file() else []
+    try:
+        rows: list[dict[str, Any]] = json.loads(path.read_bytes()) if path.is_file() else []
+    except ValueError:
+        raise InvalidInput(
+            f"{path}: damaged, expected JSON; without it the same command writes it anew"
+        ) from None
+    return rows
 
 
 def _say(text: str) -> None:

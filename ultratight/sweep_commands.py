@@ -17,7 +17,9 @@ from ultratight.options import (
     Source,
     duration,
     interruptible,
+    number,
     progress,
+    whole,
 )
 
 if TYPE_CHECKING:
@@ -30,9 +32,11 @@ def sweep(
         list[str] | None,
         typer.Option(metavar="KEY=V1,V2,...", help="one axis, e.g. receiver.filter=kf,qkf"),
     ] = None,
-    runs: Annotated[int, typer.Option(metavar="N", help="runs of each cell")] = 1,
+    runs: Annotated[int, typer.Option(metavar="N", parser=whole, help="runs of each cell")] = 1,
     seed: Seed = 1,
-    jobs: Annotated[int | None, typer.Option(metavar="J", help="processes; default: all")] = None,
+    jobs: Annotated[
+        int | None, typer.Option(metavar="J", parser=whole, help="processes; default: all")
+    ] = None,
     cluster: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler, e.g. tcp://host:8786")
     ] = None,
@@ -42,12 +46,16 @@ def sweep(
     keep: Annotated[
         list[str] | None, typer.Option(metavar="NAME", help="keep over time, e.g. velocity_error")
     ] = None,
-    every: Annotated[float, typer.Option(metavar="S", help="time between kept values")] = 0.1,
+    every: Annotated[
+        float, typer.Option(metavar="S", parser=number, help="time between kept values")
+    ] = 0.1,
     changes: Override = None,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="list cells and estimated time; fly nothing")
     ] = False,
-    max_cells: Annotated[int, typer.Option(metavar="N", help="refuse more cells")] = 1000,
+    max_cells: Annotated[
+        int, typer.Option(metavar="N", parser=whole, help="refuse more cells")
+    ] = 1000,
     fresh: Annotated[
         bool, typer.Option("--fresh", help="start anew: forget what the folder holds")
     ] = False,
@@ -63,8 +71,10 @@ def sweep(
     """
     from ultratight import config, monte_carlo
     from ultratight.scenario import load
+    from ultratight.sweeps import workers
     from ultratight.sweeps.cells import parse_over
 
+    workers.check(cluster, jobs)
     if out is None and not dry_run:
         raise config.InvalidInput("--out: missing, expected a folder (or --dry-run)")
     pairs = [parse_over(text) for text in over or []]
@@ -93,7 +103,7 @@ def sweep(
 
 def rerun(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="folder of a sweep")],
-    run: Annotated[int, typer.Option(metavar="N", help="number of the run, from 0")],
+    run: Annotated[int, typer.Option(metavar="N", parser=whole, help="number of the run, from 0")],
     cell: Annotated[
         list[str] | None,
         typer.Option(metavar="NAME=VALUE", help="which cell, e.g. filter=qkf; one per axis"),

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from importlib import import_module
 from importlib.util import find_spec, module_from_spec, spec_from_file_location
 from pathlib import Path
+from threading import RLock
 from types import ModuleType
 from typing import TYPE_CHECKING
 
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from ultratight.filters.gaussian import Filter
 
 EXPECTED = "FILE.py:NAME or package.module:NAME"
+_LOADING = RLock()
 
 
 def is_own(name: str) -> bool:
@@ -67,7 +69,7 @@ def make(name: str) -> Filter:
     path = source(name)
     try:
         module = _from_file(path) if is_file(place) else import_module(place)
-    except Exception as error:
+    except (Exception, SystemExit) as error:  # a script that ends its process
         raise _cannot(name, "cannot be loaded", error) from error
     factory: Callable[[], Filter] | None = getattr(module, what, None)
     if not callable(factory):
@@ -88,7 +90,7 @@ def made_by(factory: Callable[[], Filter], name: str) -> Filter:
     return made
 
 
-def _cannot(name: str, what: str, error: Exception) -> ValueError:
+def _cannot(name: str, what: str, error: BaseException) -> ValueError:
     said = " ".join(str(error).split())
     return ValueError(f'"{name}" given, expected a filter ({what}: {type(error).__name__}: {said})')
 
@@ -97,16 +99,17 @@ def _from_file(path: Path) -> ModuleType:
     """The module in a file; an edited one is another module, the same text is loaded once."""
     sha = hashlib.sha256(path.read_bytes() + str(path.resolve()).encode()).hexdigest()
     name = f"ultratight_own_{path.stem}_{sha[:16]}"
-    if name in sys.modules:
-        return sys.modules[name]
-    spec = spec_from_file_location(name, path)
-    if spec is None or spec.loader is None:
-        raise ImportError(f"{path} is no Python source")
-    module = module_from_spec(spec)
-    sys.modules[name] = module  # dataclasses and kernels look their module up
-    try:
-        spec.loader.exec_module(module)
-    except BaseException:
-        del sys.modules[name]
-        raise
-    return module
+    with _LOADING:  # another thread of a worker must not find half of it
+        if name in sys.modules:
+            return sys.modules[name]
+        spec = spec_from_file_location(name, path)
+        if spec is None or spec.loader is None:
+            raise ImportError(f"{path} is no Python source")
+        module = module_from_spec(spec)
+        sys.modules[name] = module  # dataclasses and kernels look their module up
+        try:
+            spec.loader.exec_module(module)
+        except BaseException:
+            del sys.modules[name]
+            raise
+        return module

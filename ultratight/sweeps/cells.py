@@ -11,6 +11,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import product
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from ultratight import config, named_files
 from ultratight.config import InvalidInput
 from ultratight.filters.gaussian import Filter
@@ -52,14 +54,26 @@ class Cell(NamedTuple):
 
 def axes(over: Over) -> tuple[Axis, ...]:
     """Axes in the order given.  `InvalidInput`: no values, or one of them twice."""
+    if not (isinstance(over, Mapping) and all(isinstance(key, str) for key in over)):
+        raise InvalidInput(f"over: {config.show(over)} given, expected {{key: [value, ...], ...}}")
     found, problems = [], []
-    for key, values in over.items():
+    for key, given in over.items():
+        values = _plain(given)
         if isinstance(values, str) or not isinstance(values, Sequence | Mapping):
             problems.append(f"over {key}: {config.show(values)} given, expected a list of values")
             continue
         if isinstance(values, Mapping):
-            labels, changes = tuple(values), tuple(dict(change) for change in values.values())
+            none = [name for name, change in values.items() if not isinstance(change, Mapping)]
+            if none:
+                problems.append(
+                    f"over {key}: {none[0]} is {config.show(values[none[0]])}, expected a table of "
+                    "keys that are varied together"
+                )
+                continue
+            labels = _labels(tuple(values))
+            changes = tuple({k: _plain(v) for k, v in c.items()} for c in values.values())
         else:
+            values = tuple(_plain(value) for value in values)
             labels = _labels(values)
             changes = tuple({key: value} for value in values)
         if not labels:
@@ -84,6 +98,11 @@ def _named(found: list[Axis]) -> tuple[Axis, ...]:
     )
 
 
+def _plain(value: Any) -> Any:
+    """Numpy's numbers and arrays as Python's."""
+    return value.tolist() if isinstance(value, np.generic | np.ndarray) else value
+
+
 def _labels(values: Sequence[Any]) -> tuple[Any, ...]:
     """Numbers as they are, all else as text."""
     if all(isinstance(v, int | float) and not isinstance(v, bool) for v in values):
@@ -93,7 +112,9 @@ def _labels(values: Sequence[Any]) -> tuple[Any, ...]:
 
 def label(value: Any) -> str:
     """A value as the text that stands for it along its axis."""
-    return value if isinstance(value, str) else "none" if value is None else json.dumps(value)
+    if value is None:
+        return "none"
+    return value if isinstance(value, str) else json.dumps(value, default=str)
 
 
 def cells(

@@ -17,12 +17,14 @@ import h5py
 import numpy as np
 
 from ultratight import config
-from ultratight.sweeps.cells import Axis, Cell
-from ultratight.sweeps.flights import Record, values_of
+from ultratight.sweeps.cells import RESERVED, Axis, Cell
+from ultratight.sweeps.flights import COST, Record, values_of
 from ultratight.sweeps.series import SERIES, times
 
 FORMAT = "ultratight-sweep-1"
 NAME = "sweep.nc"
+PARTS = f".{NAME}.*.part"
+"""What is not whole yet"""
 INNER = {"velocity_rms_mps": "window", "lost_lock_s": "channel", "off_carrier_s": "channel"}
 """Tables of a summary, and the dimension that their keys become"""
 _BLOCK = 256
@@ -43,6 +45,18 @@ _WORDS = {
     "took_s": "wall time of the run with its figures",
     "estimate_sha256": "of the estimated trajectory, every bit of it",
 }
+TAKEN = {*RESERVED, *_WORDS, *COST, *SERIES, *(f"{name}_of" for name in _WORDS), "n_satellites"}
+"""What a swept key or set of keys cannot be called"""
+
+
+def check_names(axes: Sequence[Axis]) -> None:
+    """`InvalidInput` for a dimension that the file cannot have beside the results."""
+    for axis in axes:
+        if axis.dim in TAKEN or "/" in axis.dim or not axis.dim.strip(" ."):
+            raise config.InvalidInput(
+                f"over {axis.dim}: a name that results have or no file can hold, expected another, "
+                "e.g. {'cause': {'late': {'imu.lag_s': 0.01}}}"
+            )
 
 
 def facts(record: Record) -> dict[str, Any]:
@@ -101,7 +115,7 @@ def write(
     attributes: Mapping[str, Any],
 ) -> None:
     """Write the file, whole or not at all; ``records`` come cell by cell and run by run."""
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    part = path.with_name(PARTS.replace("*", str(os.getpid())))
     longest = max(cell.scenario.duration_s for cell in cells)
     try:
         with h5netcdf.File(part, "w") as file:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from contextlib import suppress
 
 import numpy as np
 
@@ -51,8 +50,12 @@ def _rate(scenario: Scenario, seed: int) -> float:
         if len(marks) > _FEWEST and marks[-1][0] - marks[0][0] > SAMPLE_S:
             raise _EnoughError
 
-    with suppress(_EnoughError):
+    try:
         simulate(scenario, seed, progress=report)
+    except (OSError, MemoryError):
+        raise
+    except Exception:  # timed, or a run that a sweep would record as failed
+        pass
     rates = np.diff(np.array(marks), axis=0)
     rates = rates[rates[:, 1] > 0.0]
     return float(np.median(rates[:, 0] / rates[:, 1])) if rates.size else 0.0

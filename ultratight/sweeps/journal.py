@@ -27,6 +27,8 @@ _SYNC_S = 1.0
 _CHECK = 16
 """Hexadecimal digits of a line's checksum"""
 _ANEW = "expected the same sweep, another folder, or --fresh to start anew"
+_BEGINS = f'{{"mark":"{MARK}"'.encode()
+"""Of the first line, behind its checksum"""
 
 
 def _line(data: Mapping[str, Any]) -> bytes:
@@ -41,6 +43,13 @@ def _parsed(line: bytes) -> dict[str, Any] | None:
         return None
     data: dict[str, Any] = json.loads(text)
     return data
+
+
+def _is_ours(begin: bytes) -> bool:
+    """Does a journal begin like this, whole or cut short?"""
+    check, _, text = begin.partition(b" ")
+    known = len(check) <= _CHECK and set(check) <= set(b"0123456789abcdef")
+    return known and (text.startswith(_BEGINS) or _BEGINS.startswith(text))
 
 
 def read_header(folder: Path) -> dict[str, Any]:
@@ -93,20 +102,33 @@ class Journal:
         self._sha = np.zeros((*shape, 32), np.uint8)
         self._synced_s = time.monotonic()
         self.damaged = 0
-        """Lines that were left out, apart from a torn last one"""
+        """Lines that are left out, apart from a torn last one; their runs are flown again"""
         # no buffer: what a full disk refuses does not wait to be refused again
         self._file = self.path.open("a+b", buffering=0)
         try:
             lock(self._file, self.path)
+            self._refuse_foreign()
             if fresh:
                 self._file.truncate(0)
             self._end = self._read(dict(made))
             self._file.truncate(self._end)
             if self._end == 0:
-                self._append(_line({"mark": MARK, **made}))
+                self._begin(_line({"mark": MARK, **made}))
         except BaseException:
             self._file.close()
             raise
+
+    def _begin(self, line: bytes) -> None:
+        try:
+            self._append(line)
+        except OSError as error:
+            raise OSError(f"{self.path}: cannot be written ({error.strerror})") from None
+
+    def _refuse_foreign(self) -> None:
+        """What somebody else has written is neither gone on with nor forgotten."""
+        self._file.seek(0)
+        if not _is_ours(self._file.read(_CHECK + 1 + len(_BEGINS))):
+            raise InvalidInput(f"{self.path}: not a journal ({MARK}), expected another folder")
 
     def _read(self, made: dict[str, Any]) -> int:
         """Find the records; returns where the whole lines end."""
@@ -130,7 +152,7 @@ class Journal:
 
     def _check(self, header: dict[str, Any] | None, made: dict[str, Any]) -> None:
         if header is None or header.get("mark") != MARK:
-            raise InvalidInput(f"{self.path}: not a journal ({MARK}); {_ANEW}")
+            raise InvalidInput(f"{self.path}: its first line is damaged; {_ANEW}")
         then = {k: v for k, v in header.items() if k not in ("mark", "about")}
         here = json.loads(json.dumps({k: v for k, v in made.items() if k != "about"}))
         if differ := differences(flat(then), flat(here)):

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
 
-from ultratight.config import InvalidInput
+from ultratight.config import InvalidInput, show
 from ultratight.scenario import Scenario, load
 from ultratight.sweeps import cells as cell
-from ultratight.sweeps import series
+from ultratight.sweeps import dataset, series
 from ultratight.sweeps.cells import Axis, Cell, Factories, Over
 
 MAX_CELLS = 1000
+MAX_RUNS = 100_000_000
+"""Of all cells: their places and checksums take 40 bytes each"""
 MAX_SEED = 2**63 - 1
 
 
@@ -58,10 +60,19 @@ def plan(
         raise InvalidInput(f"runs: {runs} given, expected a whole number from 1")
     if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed <= MAX_SEED - runs:
         raise InvalidInput(f"seed: {seed} given, expected a whole number from 0 to 2^63 - 1 - runs")
-    series.check(keep, every_s)
+    if not isinstance(filters, Mapping | None):
+        raise InvalidInput(f"filters: {show(filters)} given, expected {{name: class or function}}")
     factories = dict(filters or {})
-    axes = cell.axes(over or {})
+    axes = cell.axes({} if over is None else over)
+    dataset.check_names(axes)
+    if max_cells is not None and max_cells < 1:
+        raise InvalidInput(f"max_cells: {max_cells} given, expected a whole number from 1")
     made = cell.cells(base, axes, factories, max_cells)
+    if len(made) * runs > MAX_RUNS:
+        raise InvalidInput(
+            f"runs: {runs} of {len(made)} cells given, expected at most {MAX_RUNS} in all"
+        )
+    series.check(keep, every_s, max(one.scenario.duration_s for one in made))
     _check_skies(made, seed)
     return Plan(base, axes, made, runs, seed, tuple(keep), float(every_s), factories)
 

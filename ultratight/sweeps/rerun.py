@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -66,7 +67,7 @@ def rerun(
     axes = cells.from_plain(about["axes"])
     place = _place(axes, cell or {})
     factories = _factories(header["filters"], filters or {})
-    copies = {path: str(folder / copy) for path, copy in about["inputs"].items()}
+    copies = {path: _copy(folder / copy) for path, copy in about["inputs"].items()}
     chosen = cells.cell_at(
         Scenario.from_dict(about["scenario"]), axes, place, factories,
         lambda path: copies.get(path, path),
@@ -83,6 +84,19 @@ def rerun(
     now, flown = flights.fly_one(task.items[0], task)
     then = journal.find(folder, number, run)
     return Rerun(flown, now, then, _changed(header["code"], then, now))
+
+
+def _copy(path: Path) -> str:
+    """A copy of a file that scenarios name; its folder is called by what it held."""
+    try:
+        sha = hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        raise InvalidInput(
+            f"{path}: cannot be read ({error.strerror}), expected the sweep's copy"
+        ) from None
+    if not sha.startswith(path.parent.name):
+        raise InvalidInput(f"{path}: has been changed, expected the copy that the sweep flew with")
+    return str(path)
 
 
 def _place(axes: Sequence[Axis], chosen: Mapping[str, Any]) -> tuple[int, ...]:

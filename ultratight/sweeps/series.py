@@ -76,13 +76,24 @@ SERIES = {
 """Name -> series; what a closure does not have is NaN"""
 
 
-def check(names: Sequence[str], every_s: float) -> None:
-    """`InvalidInput` for a name that is none, or a spacing that is not positive."""
-    for name in names:
+def check(names: Sequence[str], every_s: float, longest_s: float) -> None:
+    """`InvalidInput` for a name that is none or stands twice, or a spacing that cannot be.
+
+    longest_s: the longest run.
+    """
+    if isinstance(names, str):
+        raise config.InvalidInput(f"keep: {names!r} given, expected a list of names")
+    for i, name in enumerate(names):
         if name not in SERIES:
             raise config.InvalidInput(f"keep: {name!r} given, expected one of {', '.join(SERIES)}")
-    if not 1e-3 <= every_s < np.inf:
+        if name in names[:i]:
+            raise config.InvalidInput(f"keep: {name!r} given twice, expected once")
+    if not isinstance(every_s, int | float) or not 1e-3 <= every_s < np.inf:
         raise config.InvalidInput(f"every_s: {every_s} given, expected 0.001 s or more")
+    if names and times(longest_s, every_s).size == 0:
+        raise config.InvalidInput(
+            f"every_s: {every_s} given, expected no more than the {longest_s:g} s of a run"
+        )
 
 
 def times(duration_s: float, every_s: float) -> np.ndarray:

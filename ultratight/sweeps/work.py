@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import gc
 import hashlib
 import inspect
 import json
+import logging
 import os
+import re
+import sys
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -27,10 +32,13 @@ from ultratight.sweeps.plan import Plan
 
 INPUTS = "inputs"
 """Folder of copies of the files that scenarios name"""
+_log = logging.getLogger(__name__)
 
 
 def writable(out: str | Path) -> Path:
     """A folder that can be written to."""
+    if not str(out):
+        raise InvalidInput('out: "" given, expected a folder')
     folder = Path(out)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -52,6 +60,17 @@ class Work:
         self.inputs, self.texts = self._copy_inputs()
         made = _made(planned, shas, {path: entry.path for path, entry in self.inputs.items()})
         self.journal = Journal(folder, made, (len(planned.cells), planned.runs), fresh)
+        if self.journal.damaged:
+            _log.warning(
+                "%s: %d damaged lines are left out", self.journal.path, self.journal.damaged
+            )
+        self._clear(fresh)
+
+    def _clear(self, fresh: bool) -> None:
+        """Away with what a killed process was writing, and with what is no longer the result."""
+        gone = [*self.folder.glob(dataset.PARTS), *([self.folder / dataset.NAME] * fresh)]
+        for path in gone:  # nobody else is at it: the journal is ours
+            path.unlink(missing_ok=True)
 
     def _copy_inputs(self) -> tuple[dict[str, Input], list[str]]:
         """Copies of the files that scenarios name, and the scenarios that name the copies."""
@@ -62,7 +81,7 @@ class Work:
                 data = Path(path).read_bytes()
                 sha = hashlib.sha256(data).hexdigest()
                 place = self.folder.resolve() / INPUTS / sha[:16] / Path(path).name
-                if not place.exists():
+                if not (place.is_file() and place.read_bytes() == data):
                     place.parent.mkdir(parents=True, exist_ok=True)
                     part = place.with_name(f".{place.name}.{os.getpid()}.part")
                     part.write_bytes(data)
@@ -128,14 +147,37 @@ class Work:
             "provenance": provenance(p.base, p.seed),
         }
         path = self.folder / dataset.NAME
-        try:
-            dataset.write(
-                path, p.axes, p.cells, p.seeds, journal.records(), layout, p.keep, p.every_s,
-                attributes,
-            )  # fmt: skip
-        except (OSError, RuntimeError) as error:  # of HDF5, which says much
-            why = os.strerror(error.errno) if isinstance(error, OSError) and error.errno else error
-            raise OSError(f"{path}: cannot be written ({why}); {self.kept()}") from error
+        why = ""
+        with _one_voice():
+            try:
+                dataset.write(
+                    path, p.axes, p.cells, p.seeds, journal.records(), layout, p.keep, p.every_s,
+                    attributes,
+                )  # fmt: skip
+            except (OSError, RuntimeError) as error:
+                why = _reason(error)
+        if why:  # outside: the error holds objects of HDF5
+            raise OSError(f"{path}: cannot be written ({why}); {self.kept()}")
+
+
+@contextmanager
+def _one_voice() -> Iterator[None]:
+    """HDF5's objects each say once more, as they go, that the disk is full: unheard here."""
+    before = sys.excepthook, sys.unraisablehook
+    sys.excepthook = sys.unraisablehook = lambda *_: None
+    try:
+        yield
+        gc.collect()
+    finally:
+        sys.excepthook, sys.unraisablehook = before
+
+
+def _reason(error: OSError | RuntimeError) -> str:
+    """Why a file cannot be written; what HDF5 says of it is long."""
+    if isinstance(error, OSError) and error.errno:
+        return os.strerror(error.errno)
+    told = re.search(r"error message = '([^']+)'", str(error))
+    return told[1] if told else " ".join(str(error).split()) or type(error).__name__
 
 
 def _made(p: Plan, shas: Mapping[str, str], copies: Mapping[str, str]) -> dict[str, Any]:
@@ -161,16 +203,16 @@ def _made(p: Plan, shas: Mapping[str, str], copies: Mapping[str, str]) -> dict[s
 
 
 def factory_sha256(factory: Callable[[], Filter], name: str) -> str:
-    """Of the file that a factory is written in and its name there, and of arguments bound to it.
+    """Of the file that a factory is written in and its name there, and of what is bound to it.
 
-    `InvalidInput`: it has no source to be known by.
+    `InvalidInput`: it has no source to be known by, or is bound to what has no plain text.
     """
     bound = ""
     if isinstance(factory, partial):
-        bound = repr((factory.args, sorted(factory.keywords.items())))
-        if " at 0x" in bound:
-            raise InvalidInput(f"filters: {name} is bound to {bound}, expected plain values")
+        bound = _bound(name, (factory.args, sorted(factory.keywords.items())))
         factory = factory.func
+    if held := _held(factory):
+        bound += _bound(name, held)
     try:
         path = inspect.getsourcefile(factory)
         source = Path(path).read_bytes() if path and Path(path).is_file() else None
@@ -181,3 +223,34 @@ def factory_sha256(factory: Callable[[], Filter], name: str) -> str:
         ) from None
     what = f"{getattr(factory, '__qualname__', '')}{bound}"
     return hashlib.sha256(text + b"\0" + what.encode()).hexdigest()
+
+
+def _held(factory: Callable[..., Any]) -> list[Any]:
+    """What a function takes from where it was made: ``lambda: Mine(sigma)`` is known by sigma."""
+    if not inspect.isfunction(factory):
+        return []
+    held = [one.cell_contents for one in factory.__closure__ or ()]
+    held += [*(factory.__defaults__ or ()), *(factory.__kwdefaults__ or {}).values()]
+    above = (factory.__globals__.get(used) for used in factory.__code__.co_names)
+    return held + [value for value in above if isinstance(value, int | float | str)]
+
+
+def _bound(name: str, values: Any) -> str:
+    """What a factory is bound to, as text; of classes and functions their names."""
+    text = repr(_named(values))
+    if " at 0x" in text:
+        raise InvalidInput(
+            f"filters: {name} is bound to {' '.join(text.split())[:200]}, expected plain values"
+        )
+    return text
+
+
+def _named(value: Any) -> Any:
+    """``value`` with the full names of classes and functions, and arrays as lists, in it."""
+    if isinstance(value, list | tuple):
+        return type(value)(map(_named, value)) if type(value) in (list, tuple) else value
+    if isinstance(value, dict):
+        return {key: _named(inner) for key, inner in value.items()}
+    if inspect.isclass(value) or inspect.isroutine(value):
+        return f"{value.__module__}.{value.__qualname__}"
+    return value.tolist() if isinstance(value, np.ndarray) else value

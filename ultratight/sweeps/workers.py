@@ -26,6 +26,17 @@ _MOST = 64
 _SHARE = 4
 """Every worker has at least so many tasks still before it, so that all end together"""
 _LOST_IN_A_ROW = 3
+ADDRESS = "the address of a Dask scheduler that runs, e.g. tcp://host:8786"
+
+
+def check(executor: Any, jobs: int | None) -> None:
+    """`InvalidInput`: no such number of processes, or one for a cluster, which has its own."""
+    if jobs is not None and (isinstance(jobs, bool) or not isinstance(jobs, int) or jobs < 1):
+        raise InvalidInput(f"jobs: {jobs} given, expected a whole number from 1")
+    if jobs is not None and executor is not None:
+        raise InvalidInput(f"jobs: {jobs} given, expected none: a cluster has its own workers")
+    if isinstance(executor, str) and not executor.strip():
+        raise InvalidInput(f"cluster: {executor!r} given, expected {ADDRESS}")
 
 
 class Pace:
@@ -58,13 +69,15 @@ def fly_all(
 
     Raises
     ------
+    InvalidInput
+        There is no cluster at the address.
     OSError
-        Workers are lost again and again, or the cluster cannot be reached.
+        Workers are lost again and again, or the cluster can no longer be reached.
     """
     lost, pace = 0, Pace()
     while (runs := left()).size:
         try:
-            with _backend(executor, jobs) as n_worker:
+            with _backend(executor, jobs, len(runs), began=pace.run_s is not None) as n_worker:
                 for records in _parallel(n_worker)(
                     joblib.delayed(fly)(t) for t in _tasks(runs, task, pace, n_worker)
                 ):
@@ -104,10 +117,12 @@ def _tasks(
 
 
 @contextmanager
-def _backend(executor: Any, jobs: int | None) -> Iterator[int]:
+def _backend(executor: Any, jobs: int | None, n_run: int, began: bool) -> Iterator[int]:
     """The joblib backend in force, and how many workers it has."""
     if executor is None:
         n = joblib.cpu_count() if jobs is None else jobs
+        # no idle processes; but a run that kills its process must not kill this one
+        n = min(n, max(2, n_run))
         if n == 1:  # this process
             yield n
             return
@@ -119,7 +134,7 @@ def _backend(executor: Any, jobs: int | None) -> Iterator[int]:
         ):
             yield n
         return
-    with _client(executor) as client:
+    with _client(executor, began) as client:
         n = sum(client.nthreads().values())
         if n == 0:
             raise OSError(f"cluster {client.scheduler.address}: has no workers")
@@ -128,7 +143,8 @@ def _backend(executor: Any, jobs: int | None) -> Iterator[int]:
 
 
 @contextmanager
-def _client(executor: Any) -> Iterator[Any]:
+def _client(executor: Any, began: bool) -> Iterator[Any]:
+    """A client of the cluster; ``began``: it was there before."""
     try:
         import distributed
     except ImportError:
@@ -141,7 +157,11 @@ def _client(executor: Any) -> Iterator[Any]:
         try:
             client = distributed.Client(executor, timeout=CONNECT_S, set_as_default=False)
         except (OSError, ValueError) as error:
-            raise OSError(f"cluster {executor}: cannot be reached ({_said(error)})") from None
+            if began:
+                raise OSError(f"cluster {executor}: cannot be reached ({_said(error)})") from None
+            raise InvalidInput(
+                f"cluster: {executor!r} given, expected {ADDRESS} ({_said(error)})"
+            ) from None
         with client:
             yield client
     else:
