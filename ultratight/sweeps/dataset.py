@@ -5,6 +5,7 @@ Memory holds one block of runs at a time, however many there are.
 
 from __future__ import annotations
 
+import io
 import json
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -118,15 +119,46 @@ def write(
     part = path.with_name(PARTS.replace("*", str(os.getpid())))
     longest = max(cell.scenario.duration_s for cell in cells)
     try:
-        with h5netcdf.File(part, "w") as file:
-            _prepare(file, axes, seeds, layout, attributes)
-            n_time = _prepare_series(file, axes, keep, longest, every_s) if keep else 0
-            for block in _blocks(records):
-                _fill(file, cells[block[0]["cell"]].place, block, layout, keep, n_time)
+        with _Disk(part, "w+") as disk:
+            with h5netcdf.File(disk, "w") as file:
+                _prepare(file, axes, seeds, layout, attributes)
+                n_time = _prepare_series(file, axes, keep, longest, every_s) if keep else 0
+                for block in _blocks(records):
+                    _fill(file, cells[block[0]["cell"]].place, block, layout, keep, n_time)
+                    disk.check()
+            disk.check()
         os.replace(part, path)
     finally:
         with suppress(OSError):
             part.unlink()
+
+
+class _Disk(io.FileIO):
+    """A file that tells us that the disk is full, not HDF5, which would crash as it closes."""
+
+    refused: OSError | None = None
+
+    def write(self, data: Any) -> int:
+        left = memoryview(data).cast("B")
+        n = len(left)
+        try:
+            while left and self.refused is None:  # a disk that fills up takes a part first
+                left = left[super().write(left) or 0 :]
+        except OSError as error:
+            self.refused = error
+        return n
+
+    def truncate(self, size: int | None = None) -> int:
+        try:
+            return super().truncate(size)
+        except OSError as error:
+            self.refused = self.refused or error
+            return size or 0
+
+    def check(self) -> None:
+        """OSError: not everything has been written."""
+        if self.refused is not None:
+            raise self.refused
 
 
 def _prepare(

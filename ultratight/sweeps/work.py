@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import gc
 import hashlib
 import inspect
 import json
 import logging
 import os
-import re
-import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -147,37 +143,14 @@ class Work:
             "provenance": provenance(p.base, p.seed),
         }
         path = self.folder / dataset.NAME
-        why = ""
-        with _one_voice():
-            try:
-                dataset.write(
-                    path, p.axes, p.cells, p.seeds, journal.records(), layout, p.keep, p.every_s,
-                    attributes,
-                )  # fmt: skip
-            except (OSError, RuntimeError) as error:
-                why = _reason(error)
-        if why:  # outside: the error holds objects of HDF5
-            raise OSError(f"{path}: cannot be written ({why}); {self.kept()}")
-
-
-@contextmanager
-def _one_voice() -> Iterator[None]:
-    """HDF5's objects each say once more, as they go, that the disk is full: unheard here."""
-    before = sys.excepthook, sys.unraisablehook
-    sys.excepthook = sys.unraisablehook = lambda *_: None
-    try:
-        yield
-        gc.collect()
-    finally:
-        sys.excepthook, sys.unraisablehook = before
-
-
-def _reason(error: OSError | RuntimeError) -> str:
-    """Why a file cannot be written; what HDF5 says of it is long."""
-    if isinstance(error, OSError) and error.errno:
-        return os.strerror(error.errno)
-    told = re.search(r"error message = '([^']+)'", str(error))
-    return told[1] if told else " ".join(str(error).split()) or type(error).__name__
+        try:
+            dataset.write(
+                path, p.axes, p.cells, p.seeds, journal.records(), layout, p.keep, p.every_s,
+                attributes,
+            )  # fmt: skip
+        except OSError as error:
+            why = os.strerror(error.errno) if error.errno else error
+            raise OSError(f"{path}: cannot be written ({why}); {self.kept()}") from error
 
 
 def _made(p: Plan, shas: Mapping[str, str], copies: Mapping[str, str]) -> dict[str, Any]:
