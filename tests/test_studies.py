@@ -232,14 +232,14 @@ def test_command_refuses_in_one_line(arguments, expected, toy, capsys, monkeypat
     assert error.count("\n") == 1
 
 
-def test_a_study_that_fails_has_no_claims(toy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_study_that_fails_has_no_claims(toy: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """Those of an earlier run are not told as if they were new."""
     row = {"id": "y", "study": "second", "claim": "c", "verdict": "met"}
     (toy / "out").mkdir()
     (toy / "out" / "ledger.json").write_text(json.dumps([row]))
     words = ["study", "second", "--dir", str(toy / "studies"), "--out", str(toy / "out"), "--json"]
     assert main(words) == 1
-    assert json.loads(capsys.readouterr().out)["claims"] == []
+    assert json.loads(capfd.readouterr().out)["claims"] == []
 
 
 def test_sigterm_ends_the_script_too(toy: Path) -> None:

@@ -56,6 +56,6 @@ def _rate(scenario: Scenario, seed: int) -> float:
         raise
     except Exception:  # timed, or a run that a sweep would record as failed
         pass
-    rates = np.diff(np.array(marks), axis=0)
+    rates = np.diff(np.array(marks).reshape(-1, 2), axis=0)
     rates = rates[rates[:, 1] > 0.0]
     return float(np.median(rates[:, 0] / rates[:, 1])) if rates.size else 0.0
