@@ -134,7 +134,7 @@ def test_the_command(folder: Path, capsys: pytest.CaptureFixture[str], tmp_path:
         (["--run", "1"], "cell: filter missing, expected one of kf,"),
         (["--run", "1", "--cell", "filter=qkf"], 'cell: filter "qkf" given, expected one of kf,'),
         (["--run", "1", "--cell", "colour=red"], "cell: colour given, expected one of filter, "),
-        (["--run", "-1"], "run: -1 given"),
+        (["--run", "-1"], "'--run': '-1' given, expected a whole number"),
     ],
 )
 def test_a_run_that_is_none_is_refused(
