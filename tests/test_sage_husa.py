@@ -38,7 +38,7 @@ def test_flight_and_disturbances_are_the_papers(study) -> None:
 def test_no_velocity_noise_in_the_outages(study) -> None:
     """Errors of two seeds differ by noise alone: in a gap by the propagation of what was."""
     f = study.flight
-    Phi, _ = f.matrices("calibrated")
+    Phi, _ = f.matrices(f.SCENARIOS["1"])
     gap = np.flatnonzero(f.OUTAGE)[1:500]
     a, b = (f.measure(f.SCENARIOS["1"], seed)[0] for seed in (1, 2))
     difference = a - b

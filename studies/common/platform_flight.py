@@ -98,6 +98,9 @@ class World:
     faults: bool = False
     errors: Mapping[str, float] | None = None  # changes of `ERRORS`
     quadrature: str = "calibrated"
+    speed_mps: float = 200.0  # from 426 s on
+    turn_rate: float = TURN_RATE
+    heading_deg: float = 45.0  # at the start
 
 
 SCENARIOS = {
@@ -116,19 +119,25 @@ class Flown(NamedTuple):
     run: LinearRun
 
 
-@cache
-def matrices(quadrature: str) -> tuple[np.ndarray, np.ndarray]:
+def matrices(world: World) -> tuple[np.ndarray, np.ndarray]:
     """Phi and Gamma of every second."""
+    return _matrices(world.quadrature, world.speed_mps, world.turn_rate, world.heading_deg)
+
+
+@cache
+def _matrices(
+    quadrature: str, speed_mps: float, turn_rate: float, heading_deg: float
+) -> tuple[np.ndarray, np.ndarray]:
     rows = [(0, 0.0, 0.0, 0.0), (20, 90.0, 0.0, 0.0), (23, 90.0, CLIMB, 0.0),
             (183, 90.0, CLIMB, 0.0), (186, 90.0, 0.0, 0.0), (386, 90.0, 0.0, 0.0),
-            (426, 200.0, 0.0, 0.0)]  # fmt: skip
+            (426, speed_mps, 0.0, 0.0)]  # fmt: skip
     for bank, turn, roll_out, level, side in TURNS:
-        rate = side * TURN_RATE
+        rate = side * turn_rate
         knots = ((bank, 0.0), (turn, rate), (roll_out, rate), (level, 0.0))
-        rows += [(t, 200.0, 0.0, w) for t, w in knots]
+        rows += [(t, speed_mps, 0.0, w) for t, w in knots]
     profile = FlightProfile(*np.array(rows).T)
     middles = (np.arange(N_EPOCH * STEPS) + 0.5) / STEPS
-    angles = {"lat": 34.25, "lon": 108.9, "heading": 45.0, "wander": 45.0}
+    angles = {"lat": 34.25, "lon": 108.9, "heading": heading_deg, "wander": 45.0}
     flight = fly(profile, middles, **{name: np.radians(a) for name, a in angles.items()})
     return transitions(flight, STEPS, quadrature)
 
@@ -142,7 +151,7 @@ def measure(world: World, seed: int) -> tuple[np.ndarray, np.ndarray]:
         noise[OUTAGE, :2] = 0.0
     errors = ERRORS | dict(world.errors or {})
     start = [errors[name] for name in (*NAVIGATION, *SENSORS)]
-    x = propagate(*matrices(world.quadrature), start, noise)[1:]
+    x = propagate(*matrices(world), start, noise)[1:]
     z = x @ H.T + GPS_SIGMA * generator(seed, "gps").standard_normal((N_EPOCH, 2))
     if world.faults:
         z += FAULT[:, None]
@@ -152,11 +161,13 @@ def measure(world: World, seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def estimate(
-    world: World, x: np.ndarray, z: np.ndarray, Q: np.ndarray, noise: SageHusa | None
-) -> Flown:
-    """Fly one filter over what was measured."""
-    Phi, _ = matrices(world.quadrature)
-    run = run_linear(START, Phi, Q, H, GPS_SIGMA**2 * np.eye(2), z, noise or FIXED)
+    world: World, x: np.ndarray, z: np.ndarray, Q: np.ndarray, noise: SageHusa | None,
+    first: tuple[float, float] = (1.0, 1.0),
+) -> Flown:  # fmt: skip
+    """Fly one filter over what was measured; ``first``: factors of the sigmas in P_0 and R_0."""
+    start = START._replace(cov=first[0] ** 2 * START.cov)
+    R0 = (first[1] * GPS_SIGMA) ** 2 * np.eye(2)
+    run = run_linear(start, matrices(world)[0], Q, H, R0, z, noise or FIXED)
     return Flown(x - run.mean, run)
 
 
