@@ -160,6 +160,23 @@ def test_an_interrupt_says_what_is_kept(tmp_path: Path, how: signal.Signals) -> 
 
 
 @no_signals
+def test_imu_data_are_the_same_however_the_file_came_about(tmp_path: Path) -> None:
+    """Gone on with after kill -9, and of a file that is longer; one row for each 5 ms."""
+    words = ["--duration", "2.4", "--imu", *SLOW, "--quiet"]
+    done = ultratight(tmp_path, *words, before=killed_in_block(7))
+    assert done.returncode == -signal.SIGKILL
+    assert not (tmp_path / "half.imu.csv").exists()
+    for name, seconds in (("half", "2.4"), ("full", "2.4"), ("long", "2.6")):
+        words[1] = seconds
+        assert main(["generate", "static", *words, "--out", str(tmp_path / name)]) == 0
+    half, full, long = ((tmp_path / f"{n}.imu.csv").read_text() for n in ("half", "full", "long"))
+    assert half == full
+    assert long.startswith(full)
+    assert [len(text.splitlines()) for text in (full, long)] == [1 + 481, 1 + 521]
+    assert not list(tmp_path.glob("*.partial"))
+
+
+@no_signals
 def test_an_interrupt_before_there_is_anything_leaves_nothing(tmp_path: Path) -> None:
     words = ["--duration", 9, *SLOW, "--quiet"]
     done = ultratight(tmp_path, *words, before=killed_in_block(1, signal.SIGINT))

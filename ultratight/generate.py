@@ -34,6 +34,7 @@ from ultratight.if_source import blocks, if_source
 from ultratight.if_truth import ROW_S, TruthFile, TruthRows, rows_of, table_of, width
 from ultratight.if_world import WINDOW_S, FileWorld
 from ultratight.ins.earth import geodetic_from_ecef
+from ultratight.ins.imu_table import write_increments
 from ultratight.provenance import provenance, sources_sha256
 from ultratight.results import check_writable
 from ultratight.resume import flat
@@ -109,6 +110,7 @@ class Plan(NamedTuple):
     samples: Path
     metadata: Path
     truth: Path
+    imu: Path | None  # the IMU's data, if they are wanted
     places: Places
     made: dict[str, Any]
     """What the samples and the truth of any second depend on"""
@@ -125,11 +127,12 @@ def plan(
     form: str = "ci8",
     rms: float | None = None,
     fresh: bool = False,
+    imu: bool = False,
 ) -> Plan:
     """Check everything that can be checked before the work.
 
     The scenario must run at least as long as ``duration_s``.  What an earlier run has left is gone
-    on with, or is written over where ``fresh``.
+    on with, or is written over where ``fresh``.  ``imu``: its data are wanted too.
 
     Raises
     ------
@@ -149,7 +152,8 @@ def plan(
         raise InvalidInput(f"--rms: {rms:g} given, expected none: {form} has fixed levels")
     data, meta = paths(out, form)
     truth = out.with_name(f"{out.name}.truth.nc")
-    for path in (data, meta, truth):
+    table = out.with_name(f"{out.name}.imu.csv") if imu else None
+    for path in (data, meta, truth, *([table] if table else [])):
         check_writable(path, (path.suffix,))
     f = scenario.front_end
     world = FileWorld(scenario, seed)
@@ -164,7 +168,9 @@ def plan(
             f"--duration: {duration_s:g} given, expected at least the {kept.seconds} s that "
             f"{places.samples.name} has, or --fresh to start anew"
         )
-    p = Plan(world, kind, rms, first.sigma, n, duration_s, data, meta, truth, places, made, kept)
+    p = Plan(
+        world, kind, rms, first.sigma, n, duration_s, data, meta, truth, table, places, made, kept
+    )
     # the truth stands there twice while its file is made of its rows
     truth_bytes = 2 * 8 * width(len(world.prn)) * _n_row(p)
     need = kind.n_bytes(n) + truth_bytes + _SPARE_BYTES - kept.samples[0] - kept.rows[0]
@@ -208,6 +214,8 @@ def generate(p: Plan, progress: Callable[[float], None] | None = None) -> dict[s
     try:
         sha512 = _write(p, parts, progress)
         _write_truth(p, parts, truth)
+        if p.imu is not None:
+            _write_imu(p.world, p.imu)
         parts.close()
         p.metadata.unlink(missing_ok=True)  # an older one would describe the new samples
         os.replace(p.places.samples, p.samples)
@@ -233,6 +241,7 @@ def generate(p: Plan, progress: Callable[[float], None] | None = None) -> dict[s
         "samples": str(p.samples),
         "metadata": str(p.metadata),
         "truth": str(p.truth),
+        "imu": p.imu and str(p.imu),
         "rate_hz": s.front_end.sample_rate_hz,
         "if_hz": s.front_end.if_hz,
         "format": p.form.name,
@@ -280,6 +289,16 @@ def _write_truth(p: Plan, parts: Parts, path: Path) -> None:
             first += len(table)
     with path.open("rb+") as written:
         os.fsync(written.fileno())
+
+
+def _write_imu(w: FileWorld, path: Path) -> None:
+    """The IMU's data, from the interval that ends at the first sample on."""
+    part = path.with_name(f"{path.name}.partial")
+    try:
+        write_increments(part, w.imu[0])
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)
 
 
 def _n_row(p: Plan) -> int:

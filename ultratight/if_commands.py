@@ -46,6 +46,9 @@ def generate(
     changes: Override = None,
     nav: Navigation = None,
     seed: Seed = 1,
+    imu: Annotated[
+        bool, typer.Option("--imu", help="NAME.imu.csv too: what the scenario's IMU measures")
+    ] = False,
     fresh: Annotated[
         bool, typer.Option("--fresh", help="start anew: leave out what a cut short run has kept")
     ] = False,
@@ -65,7 +68,9 @@ def generate(
         chosen = files.scenario_for(
             source, changes or [], duration, rate, if_hz, start, trajectory, nav
         )
-        plan = files.plan(chosen, seed, out, duration_s=duration, form=form, rms=rms, fresh=fresh)
+        plan = files.plan(
+            chosen, seed, out, duration_s=duration, form=form, rms=rms, fresh=fresh, imu=imu
+        )
         if plan.kept.seconds and not quiet:
             name = plan.places.samples.name
             print(f"{name}: goes on after {plan.kept.seconds} s", file=sys.stderr)
@@ -74,8 +79,9 @@ def generate(
     if as_json:
         print(json.dumps(made))
     elif not quiet:
-        for key in ("samples", "metadata", "truth"):
-            print(f"written: {made[key]}")
+        for key in ("samples", "metadata", "truth", "imu"):
+            if made[key]:
+                print(f"written: {made[key]}")
 
 
 def info(

@@ -10,6 +10,7 @@ import json
 import math
 from collections.abc import Sequence
 from datetime import datetime
+from pathlib import Path
 from typing import Any, NamedTuple
 from xml.sax.saxutils import escape
 
@@ -45,20 +46,34 @@ def places(nav: Navigation) -> list[Place]:
     found = []
     for p in nav.positions:
         of = p.estimate or p.fix
-        if of is None:
-            continue
-        state = of.state
-        lat, lon, h = (float(x) for x in geodetic_from_ecef(state[:3]))
-        north, east, _ = rotation_e_from_n(lat, lon).T @ state[4:7]
-        gps_s = p.tow_s - float(state[3]) / C_MPS
-        found.append(
-            Place(
-                utc_text(nav.week, gps_s), p.t_s, gps_s, math.degrees(lat), math.degrees(lon), h,
-                math.hypot(north, east), math.degrees(math.atan2(east, north)) % 360.0,
-                int(np.count_nonzero(of.used)), p.fix.dop.horizontal if p.fix else math.nan,
-            )
-        )  # fmt: skip
+        if of is not None:
+            hdop = p.fix.dop.horizontal if p.fix else math.nan
+            used = int(np.count_nonzero(of.used))
+            found.append(place(nav.week, p.t_s, p.tow_s, of.state, used, hdop))
     return found
+
+
+def place(
+    week: int, t_s: float, tow_s: float, state: np.ndarray, n_used: int, hdop: float = math.nan
+) -> Place:
+    """Of r, c b, v (8,) in ECEF, tow_s being what the receiver's clock reads."""
+    lat, lon, h = (float(x) for x in geodetic_from_ecef(state[:3]))
+    north, east, _ = rotation_e_from_n(lat, lon).T @ state[4:7]
+    gps_s = tow_s - float(state[3]) / C_MPS
+    return Place(
+        utc_text(week, gps_s), t_s, gps_s, math.degrees(lat), math.degrees(lon), h,
+        math.hypot(north, east), math.degrees(math.atan2(east, north)) % 360.0, n_used, hdop,
+    )  # fmt: skip
+
+
+def write(of: Sequence[Place], folder: Path, name: str) -> list[Path]:
+    """NAME.nmea, .geojson and .kml; nothing without a position."""
+    texts = {"nmea": nmea, "geojson": geojson, "kml": lambda places: kml(places, name)}
+    paths = []
+    for ending, text in texts.items() if of else ():
+        paths.append(folder / f"{name}.{ending}")
+        paths[-1].write_text(text(of), encoding="utf-8", newline="")
+    return paths
 
 
 def nmea(of: Sequence[Place]) -> str:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ultratight import flight_commands
 from ultratight.acquire_commands import (
     FIGURES,
     Coherent,
@@ -31,7 +32,16 @@ from ultratight.acquire_commands import (
     warnings_of,
     write_figure,
 )
-from ultratight.options import Json
+from ultratight.flight_commands import (
+    AttitudeSigma,
+    AttitudeText,
+    ClosureName,
+    Grade,
+    ImuFile,
+    TakeOver,
+    attitude_of,
+)
+from ultratight.options import FilterName, Json, Override, Quiet, progress
 
 if TYPE_CHECKING:
     from signals.recording import Recording
@@ -77,8 +87,17 @@ def track(
         Path | None,
         typer.Option(metavar="DIR", help="write observations (RINEX), NMEA, GeoJSON, KML there"),
     ] = None,
+    closure: ClosureName = None,
+    imu: ImuFile = None,
+    grade: Grade = None,
+    filter_: FilterName = None,
+    attitude: AttitudeText = None,
+    attitude_sigma_deg: AttitudeSigma = 1.0,
+    take_over: TakeOver = None,
+    changes: Override = None,
     plot: Plot = None,
     as_json: Json = False,
+    quiet: Quiet = False,
 ) -> None:
     """Track the GPS satellites in an IF file.
 
@@ -86,9 +105,15 @@ def track(
     and code loop. Bits are those whose 20 ms were tracked, up to each channel's sign. Where the
     file is long enough (18 to 30 s) the message is decoded and positions follow. --plot writes
     prompts, and beside them NAME-position with C/N0, Doppler and positions.
+
+    With --closure that closure takes over from the first position on and flies to the end, by the
+    samples and, for ultra-tight and scalar-ins, an IMU's data; --set changes its receiver. It
+    measures differentially: nobody knows the data bits of a recording beforehand. --out and --plot
+    then write NAME.CLOSURE and NAME-CLOSURE too.
     """
     from signals.codes import GPS_L1CA
     from signals.sigmf_files import open_recording
+    from ultratight import recording_flight
     from ultratight.results import check_writable
     from ultratight.tracking import acquisition, from_samples
     from ultratight.tracking.navigation import navigate
@@ -121,25 +146,49 @@ def track(
         if not 0.0 < duration < 1e6:
             raise ValueError(f"--duration: {duration:g} given, expected more than 0 s")
         end = min(end, first + round(duration * recording.sample_rate_hz))
+    planned = None
+    given = {"--imu": imu, "--imu-grade": grade, "--filter": filter_, "--attitude": attitude,
+             "--take-over": take_over, "--set": changes}  # fmt: skip
+    if closure is not None:
+        planned = recording_flight.plan(
+            closure, end / recording.sample_rate_hz, filter_name=filter_, imu=imu, grade=grade,
+            attitude=attitude_of(attitude, attitude_sigma_deg), take_over_s=take_over,
+            changes=changes or [],
+        )  # fmt: skip
+    elif alone := [name for name, value in given.items() if value is not None]:
+        raise ValueError(f"{alone[0]}: given without --closure, expected both")
     rows = acquisition.acquire(recording, GPS_L1CA, prns, search, first)
     warnings = warnings_of(recording, GPS_L1CA, rows)
     found = [row for row in rows if row.found]
     tracks = from_samples.track(recording, found, end, settings)
-    nav = navigate(
-        tracks, atmosphere=has_atmosphere(file) if atmosphere is None else atmosphere,
-        near_week=near_week, interval_ms=interval_ms,
-    )  # fmt: skip
-    written = _figures(nav, plot, title_of(recording, first)) if plot else []
+    atmosphere = has_atmosphere(file) if atmosphere is None else atmosphere
+    nav = navigate(tracks, atmosphere=atmosphere, near_week=near_week, interval_ms=interval_ms)
+    flown = None
+    if planned is not None:
+        with progress(f"flying {closure}", quiet or as_json) as report:
+            flown = recording_flight.fly_recording(
+                planned, recording, nav, end, atmosphere=atmosphere, progress=report
+            )
+    title, name = title_of(recording, first), Path(recording.name).name.split(".")[0]
+    written = _figures(nav, plot, title) if plot else []
     if out is not None:
-        written += _files(nav, out, Path(recording.name).name.split(".")[0])
+        written += _files(nav, out, name)
+    where = flight_commands.places_of(flown, interval_ms) if flown else []
+    if flown and plot:
+        written.append(flight_commands.write_plot(flown, nav, plot, title))
+    if flown and out is not None:
+        written += flight_commands.write_files(flown, where, out, name)
     told = _tracked(recording, tracks, [row.prn for row in found], warnings)
     told["navigation"] = _navigated(nav)
+    told["flight"] = flight_commands.told(flown, where) if flown else None
     if as_json:
         print(json.dumps(told))
         return
     print("\n".join(_table_of_tracks(told) if found else table_of(rows, recording)[-1:]))
     if found:
         print("\n".join(_lines_of_positions(told["navigation"])))
+    if flown:
+        print("\n".join(flight_commands.lines(told["flight"])))
     for path in written:
         print(f"written: {path}")
 
@@ -185,15 +234,7 @@ def _files(nav: Navigation, folder: Path, name: str) -> list[Path]:
             position_m=last.state[:3] if last else None,
         )  # fmt: skip
         written.append(path)
-    texts = {
-        "nmea": position_files.nmea, "geojson": position_files.geojson,
-        "kml": lambda of: position_files.kml(of, name),
-    }  # fmt: skip
-    for ending, text in texts.items() if where else ():
-        path = folder / f"{name}.{ending}"
-        path.write_text(text(where), encoding="utf-8", newline="")
-        written.append(path)
-    return written
+    return written + position_files.write(where, folder, name)
 
 
 def _navigated(nav: Navigation) -> dict[str, Any]:

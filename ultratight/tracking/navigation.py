@@ -141,7 +141,8 @@ def _usable(
     return np.array(channels, np.int64), np.array(sets, np.int64)
 
 
-def _epoch(seen: Observations, k: int, sky: Constellation, week: int) -> tuple[np.ndarray, Epoch]:
+def epoch_of(seen: Observations, k: int, sky: Constellation, week: int) -> tuple[np.ndarray, Epoch]:
+    """Channels with an observation and an ephemeris at epoch k, and what they observe."""
     channels, sets = _usable(seen, k, sky, week)
     return channels, Epoch(
         float(seen.tow_ms[k]) * 1e-3,
@@ -156,7 +157,7 @@ def _epoch(seen: Observations, k: int, sky: Constellation, week: int) -> tuple[n
 def _first_fix(seen: Observations, sky: Constellation, week: int, models: Models) -> Fix | None:
     tried = 0
     for k in range(len(seen.t_s)):
-        channels, epoch = _epoch(seen, k, sky, week)
+        channels, epoch = epoch_of(seen, k, sky, week)
         if len(channels) < FEWEST:
             continue
         fix = solve(epoch, models)
@@ -173,7 +174,7 @@ def _positions(
     found: list[Position] = []
     near, estimate, last_s = None, None, 0.0
     for k in range(len(seen.t_s)):
-        channels, epoch = _epoch(seen, k, sky, week)
+        channels, epoch = epoch_of(seen, k, sky, week)
         if not len(channels):
             continue
         fix = solve(epoch, models, near) if len(channels) >= FEWEST else None
