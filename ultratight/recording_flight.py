@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from signals.codes import GPS_L1CA
-from signals.constants import OMEGA_EARTH
+from signals.constants import OMEGA_EARTH, WEEK_S
 from signals.correlator import SampleCorrelator
 from signals.recording import Recording
 from ultratight.config import InvalidInput
@@ -202,7 +202,7 @@ def fly_recording(
     position, window = _position(of, nav)
     t0_s, first = _start(of, position)
     end_s = end_sample / recording.sample_rate_hz
-    scenario = _with_start(of, position, end_s - t0_s)
+    scenario = _with_start(of, nav.week, position, end_s - t0_s)
     errors = imu_errors(scenario, 1)
     inertial = _inertial(of, window, first, scenario) if of.imu is not None else None
     knows = knows_at(
@@ -293,7 +293,7 @@ def _start(of: Plan, position: Position) -> tuple[float, int]:
     return float(of.imu.t_s[first]), first
 
 
-def _with_start(of: Plan, position: Position, left_s: float) -> Scenario:
+def _with_start(of: Plan, week: int, position: Position, left_s: float) -> Scenario:
     """The plan's scenario with start and length of this flight."""
     s, estimate = of.scenario, position.estimate
     assert estimate is not None
@@ -308,7 +308,8 @@ def _with_start(of: Plan, position: Position, left_s: float) -> Scenario:
     return s.replace(
         {
             "duration_s": n * step,
-            "start_tow_s": position.tow_s % 604_800.0,
+            "start_week": week + math.floor(position.tow_s / WEEK_S),
+            "start_tow_s": position.tow_s % WEEK_S,
             "position_lla_deg_m": [math.degrees(lat), math.degrees(lon), h],
             "heading_deg": math.degrees(math.atan2(east, north)),
             "speed_mps": math.hypot(north, east),

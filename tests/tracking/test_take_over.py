@@ -10,7 +10,6 @@ import pytest
 from signals.atmosphere import ionosphere_delay_m, troposphere_delay_m
 from signals.nco import Nco, Taps
 from signals.propagation import elevation_azimuth, pseudorange
-from signals.satellites import embedded
 from ultratight.ins.earth import geodetic_from_ecef
 from ultratight.ins.error_state import ProcessNoise
 from ultratight.tracking.from_samples import Tracks
@@ -18,7 +17,6 @@ from ultratight.tracking.navigation import Navigation, navigate
 from ultratight.tracking.take_over import Inertial, Later, estimates, knows_at
 
 NOISE = ProcessNoise(1e-6, 1e-9, 1e-12, 1e-14, 0.01, 0.04)
-IONO = embedded().iono_utc
 
 
 @pytest.fixture(scope="module")
@@ -30,8 +28,8 @@ def nav(make_tracks: Callable[..., Tracks]) -> Navigation:
 def test_the_delays_are_in_the_satellites_clocks(nav: Navigation) -> None:
     """Pseudoranges by the changed elements are those by the old ones and the models' delays.
 
-    Over two minutes from the start; the parabola through three points misses a delay of some 20 m,
-    of which the third derivative is below 1e-9 1/s^3 of it, by far less than a millimetre.
+    At the start, after one and after two minutes the parabola goes through them.  In between it
+    misses the kink with which Klobuchar's cosine ends in the evening: 2 cm for one satellite.
     """
     position = estimates(nav)[-1][0]
     t_s = position.t_s + 0.004
@@ -41,7 +39,7 @@ def test_the_delays_are_in_the_satellites_clocks(nav: Navigation) -> None:
     knows = knows_at(nav, position, t_s, 120.0, NOISE, atmosphere=True)
     r, zero = knows.r_eb_e, np.zeros(3)
     lat, lon, h = geodetic_from_ecef(r)
-    for after in (0.0, 13.0, 60.0, 120.0):
+    for after, within_m in ((0.0, 1e-3), (13.0, 0.03), (60.0, 1e-3), (120.0, 1e-3)):
         tow = knows.start_tow_s + after
         late, plain = (
             np.array([pseudorange(row, tow, r, zero, 0.0, 0.0) for row in rows]) for rows in told
@@ -52,10 +50,9 @@ def test_the_delays_are_in_the_satellites_clocks(nav: Navigation) -> None:
             lat, lon, azimuth, elevation, tow, nav.sky.iono_utc.alpha, nav.sky.iono_utc.beta
         )
         assert expected.max() > 4.0
-        np.testing.assert_allclose(late[:, 0] - plain[:, 0], expected, atol=0.002)
+        np.testing.assert_allclose(late[:, 0] - plain[:, 0], expected, atol=within_m)
         # centimetres a second in the rate, too
         np.testing.assert_allclose(late[:, 1], plain[:, 1], atol=0.05)
-    assert IONO.alpha != (0.0, 0.0, 0.0, 0.0)
 
 
 def test_the_state_is_that_of_the_position_filter(nav: Navigation) -> None:

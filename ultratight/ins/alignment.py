@@ -68,7 +68,9 @@ def align(
     asked = _asked_for(t_s, r_e, v_e)
     # the first velocity is no surer than the others
     b, s = felt - felt.mean(axis=0), asked - asked.mean(axis=0)
-    _check_force(np.linalg.norm(felt[-1]), np.linalg.norm(asked[-1]), t_s[-1] - t_s[0])
+    over_s = float(t_s[-1] - t_s[0])
+    force = float(np.linalg.norm(felt[-1])) / over_s
+    _check_force(force, float(np.linalg.norm(asked[-1])) / over_s)
     M = s.T @ b / v_sigma_mps**2
     information = _information(b) / v_sigma_mps**2
     speed = np.linalg.norm(v_e, axis=1)
@@ -80,7 +82,6 @@ def align(
         information += _information(forward) / (len(t_s) * variance)
     U, _, Vt = np.linalg.svd(M)
     C = U @ np.diag([1.0, 1.0, np.linalg.det(U) * np.linalg.det(Vt)]) @ Vt
-    force = np.linalg.norm(felt[-1]) / (t_s[-1] - t_s[0])
     # without a heading there is hardly any information about it: no singular matrix
     cov = np.linalg.inv(information + 1e-3 * np.eye(3))
     variance_e = np.diag(C @ cov @ C.T) + (accel_bias_sigma / force) ** 2
@@ -120,8 +121,7 @@ def _information(vectors: np.ndarray) -> np.ndarray:
     return np.eye(3) * np.sum(vectors**2) - vectors.T @ vectors
 
 
-def _check_force(felt: float, asked: float, over_s: float) -> None:
-    measured, expected = felt / over_s, asked / over_s
+def _check_force(measured: float, expected: float) -> None:
     if expected < _LEAST_FORCE_MPS2:
         raise ValueError(
             f"the specific force is {expected:.2g} m/s2 where the attitude is looked for, expected "
