@@ -133,7 +133,7 @@ def test_position_and_velocity_within_the_filters_own_covariance(
 
 
 def test_the_ins_carries_a_scalar_closure_through_the_jump(drive: Drive) -> None:
-    """Some of the loops that have to follow 4 g alone lose their satellite; aided they hear noise."""
+    """Some of the loops that have to follow 4 g alone lose their satellite; aided ones do not."""
     jump = {}
     for closure in ("scalar-ins", "scalar"):
         of = flown(drive, closure)

@@ -100,8 +100,8 @@ def plan(
     _check_keys(changes)
     needed = closure in INERTIAL
     if needed != (imu is not None):
-        given, expected = ("nothing", "the IMU's data") if needed else (imu, "none")
-        raise InvalidInput(f"--imu: {given} given, expected {expected} with {closure}")
+        said = "nothing given, expected the IMU's data" if needed else f"{imu} given, expected none"
+        raise InvalidInput(f"--imu: {said} with {closure}")
     given = [change.partition("=")[0].strip() for change in changes]
     if needed and grade is None and "imu.grade" not in given:
         raise InvalidInput(
