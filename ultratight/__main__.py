@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -169,6 +170,25 @@ def validate(
 
 
 @app.command()
+def predict(
+    source: Source,
+    filter_: FilterName = None,
+    closure: Closure = None,
+    measurement: Measurement = None,
+    correlator: Correlator = None,
+    changes: Override = None,
+    nav: Navigation = None,
+    as_json: Json = False,
+) -> None:
+    """Say before a run, in closed form, what jitter, stress and margin each channel will have."""
+    from ultratight import prediction
+
+    chosen = _chosen(source, changes, nav, filter_, closure, measurement, correlator)
+    found = prediction.predict(chosen)
+    print(json.dumps(found.to_dict()) if as_json else "\n".join(prediction.lines(found)))
+
+
+@app.command()
 def showcase(
     out: Annotated[Path, typer.Option(help="folder for figure and results")] = Path("results"),
     seed: Seed = 1,
@@ -296,6 +316,8 @@ def _failure(error: BaseException) -> tuple[int, str, list[str]] | None:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command and return its exit code: 0 done, 1 failed, 2 bad input, 130 interrupted."""
     given = list(sys.argv[1:] if arguments is None else arguments) or ["--help"]
+    if arguments is None and given[0] == "predict":
+        os.environ["NUMBA_DISABLE_JIT"] = "1"  # a few calls of each kernel: compiling takes longer
     left = "nothing half-written is left"
     try:
         # typer itself turns an interrupt into this code, or into Abort, by version
