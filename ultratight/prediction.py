@@ -17,9 +17,10 @@ from typing import Any
 import numpy as np
 
 from signals.constants import C_MPS
+from ultratight.filters.catalog import make_filter
 from ultratight.predicted_closures import Closure, closure_of
 from ultratight.predicted_motion import largest_slope, largest_step, motion, unaided
-from ultratight.scenario import Scenario
+from ultratight.scenario import InvalidInput, Scenario
 from ultratight.world import World
 
 SHIFTS_DB = np.arange(-40.0, 41.0, 2.0)
@@ -84,6 +85,7 @@ def predict(scenario: Scenario) -> Prediction:
     InvalidInput
         What a run would refuse.
     """
+    _check_filter(scenario)
     world = World(scenario, 1)
     m = motion(world)
     cn0 = world.cn0_dbhz(np.unique(np.concatenate([m.t_s, _profile_times(scenario)]))).min(axis=0)
@@ -106,6 +108,14 @@ def predict(scenario: Scenario) -> Prediction:
             "discriminator" if rule[i] >= of.indicator_dbhz[i] else "indicator",
         ))  # fmt: skip
     return Prediction(scenario.name, scenario.receiver.closure, tuple(rows))
+
+
+def _check_filter(scenario: Scenario) -> None:
+    if scenario.receiver.closure == "ultra-tight":
+        try:
+            make_filter(scenario.receiver.filter)
+        except ValueError as error:
+            raise InvalidInput(f"receiver.filter: {error}") from error
 
 
 def _profile_times(s: Scenario) -> np.ndarray:

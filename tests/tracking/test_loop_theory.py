@@ -83,7 +83,7 @@ def test_mean_time_to_slip_of_the_table():
 
 
 def test_dynamic_stress_of_the_table():
-    # third order at 18 Hz: 1.536 deg per g/s; jerk of 100 g/s on the best loop: 31.2 to 31.5 dB-Hz
+    # third order at 18 Hz: 1.536 deg per g/s; 100 g/s on the best loop with Bn T <= 0.2: 31.2, 31.5
     metres = theory.steady_error(3, 18.0 / 0.7845, 9.80665)
     assert metres / WAVELENGTH_M * 360.0 == pytest.approx(1.536, abs=2e-3)
     for t_s, expected in ((0.005, 31.2), (0.001, 31.5)):
@@ -91,7 +91,7 @@ def test_dynamic_stress_of_the_table():
             theory.pll_threshold_dbhz(
                 bn, t_s, stress_cycles=980.665 * (0.7845 / bn) ** 3 / WAVELENGTH_M
             )
-            for bn in np.arange(20.0, 61.0, 2.0)
+            for bn in np.arange(20.0, min(60.0, 0.2 / t_s) + 1.0, 2.0)
         )
         assert best == pytest.approx(expected, abs=0.06)
     assert theory.pll_threshold_dbhz(18.0, 0.005, stress_cycles=0.126) == math.inf

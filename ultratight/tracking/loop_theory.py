@@ -205,7 +205,7 @@ def doppler_jitter_hz(
 
     The phase noise of one output, jitter^2 / (2 Bn T), is white up to 1 / (2 T).
     """
-    f = np.linspace(0.0, 0.5 / integration_s, 4001)[1:]
+    f = np.geomspace(1e-3, 0.5 / integration_s, 4000)
     error, frequency = _phase_loop_response(order, w, integration_s, f)
     density = jitter_cycles**2 / bandwidth_hz
     return math.sqrt(density * float(np.trapezoid(np.abs(error * frequency) ** 2, f)))
