@@ -69,7 +69,7 @@ def test_tight_filter_is_where_the_recursion_ends(coherent):
     np.testing.assert_allclose(drive[3:6], walk * T, rtol=1e-3)
     assert drive[6] == pytest.approx(NOISE.clock_sg * T, rel=1e-6)
     unit, P = np.eye(len(Q)), 4.0 * found.prior
-    for _ in range(1500):
+    for _ in range(4000):
         K = np.linalg.solve(H @ P @ H.T + R, H @ P).T
         after = (unit - K @ H) @ P @ (unit - K @ H).T + K @ R @ K.T
         P = found.phi @ after @ found.phi.T + Q
