@@ -223,6 +223,7 @@ def test_command_prints_a_table_or_json(say):
         (["uniform", "--filter", "kalmann"], "receiver.filter"),
         (["uniform", "--set", "imu.grade='best'"], "imu.grade"),
         (["nowhere"], "nowhere"),
+        (["uniform", "--set", 'receiver.closure="federated"'], "that has a closed form"),
     ],
 )
 def test_command_refuses_what_a_run_refuses(say, arguments, expected):

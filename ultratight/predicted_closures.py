@@ -23,6 +23,7 @@ from ultratight.predicted_motion import (
     stress,
     unaided,
 )
+from ultratight.scenario import Unsupported
 from ultratight.tracking import loop_theory as theory
 from ultratight.tracking import noisy_phase as noisy
 from ultratight.tracking.channel_state import (
@@ -104,7 +105,7 @@ class Facts(NamedTuple):
 
 
 def closure_of(world: World, m: Motion) -> Closure:
-    """The scenario's."""
+    """The scenario's; `Unsupported` where there is no closed form of it."""
     s = world.scenario
     errors = imu_errors(s, 1)
     spacing = s.correlator.spacing_chips
@@ -120,9 +121,14 @@ def closure_of(world: World, m: Motion) -> Closure:
     if kind == "scalar-ins":
         tilt = 1e-3 * max(s.receiver.knows.tilt_sigma_mrad, s.receiver.knows.heading_sigma_mrad)
         return _channel_loops(of, aided(m, errors, s.receiver.aiding_latency_s, tilt))
+    if kind in ("vdll", "vdfll"):
+        return _vector(of)
     if kind == "ultra-tight":
         return _ultra_tight(of)
-    return _vector(of)
+    raise Unsupported(
+        f"receiver.closure: {kind!r} given, expected one that has a closed form: scalar, "
+        "scalar-ins, vdll, vdfll, ultra-tight"
+    )
 
 
 def _looped(of: Callable[[float], float], cn0: np.ndarray) -> np.ndarray:

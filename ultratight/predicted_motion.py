@@ -80,7 +80,8 @@ def _sky(
     for k, t in enumerate(coarse):
         i = min(int(np.searchsorted(t_s, t)), t_s.size - 1)
         predict_channels(sky, tow + t, r[i], np.zeros(3), 0.0, 0.0, np.empty(n), rate[k], u[k])
-    still = np.asarray(np.gradient(rate, coarse, axis=0))
+    still = np.empty_like(rate)
+    still[:] = np.gradient(rate, coarse, axis=0)
     at = np.stack([np.interp(t_s, coarse, x) for x in u.reshape(SKY_TIMES, -1).T], axis=-1)
     lines = at.reshape(t_s.size, n, 3)
     lines /= np.linalg.norm(lines, axis=-1, keepdims=True)
