@@ -248,7 +248,7 @@ def test_sigterm_ends_the_script_too(toy: Path) -> None:
     mark = toy / "pid"
     path.write_text(
         f"import os, pathlib, time\npathlib.Path({str(mark)!r}).write_text(str(os.getpid()))\n"
-        "time.sleep(60.0)\n"
+        "time.sleep(300.0)\n"
     )
 
     def terminate() -> None:
@@ -260,8 +260,10 @@ def test_sigterm_ends_the_script_too(toy: Path) -> None:
     before = signal.getsignal(signal.SIGTERM)
     thread = threading.Thread(target=terminate)
     thread.start()
+    began = time.monotonic()
     with pytest.raises(Interrupted, match="finished runs are kept"):
         study._run(path, [], toy / "out" / "first", None)
+    assert time.monotonic() - began < 150.0  # of the script's 300 s
     thread.join()
     assert signal.getsignal(signal.SIGTERM) is before
     with pytest.raises(ProcessLookupError):
