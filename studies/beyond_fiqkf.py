@@ -156,7 +156,7 @@ def draw_grid(study: Study, flown: dict[str, xr.Dataset]) -> None:
 
 def draw_envelope(study: Study, ds: xr.Dataset) -> None:
     """Cells outside the envelope, by receiver."""
-    mine = ds.transpose("cell", "receiver", "run")
+    mine = ds.transpose("cell", "receiver", "run", ...)
     jump = mine["jump"].fillna(np.inf).median("run").values
     hits = mine["converged"].sum("run").values
     notes = np.array([f"{j:.2g}\n{k}" for j, k in zip(jump.flat, hits.flat, strict=True)])

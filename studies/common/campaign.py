@@ -127,7 +127,8 @@ class Study:
         """Save it, with a palette to keep it small; where results are recorded also there."""
         path, drawn = self.out / f"{name}.png", io.BytesIO()
         page.savefig(drawn, dpi=100)
-        Image.open(drawn).convert("RGB").quantize(128).save(path, optimize=True)
+        octree = Image.Quantize.FASTOCTREE  # keeps colours of which there is little, as in a legend
+        Image.open(drawn).convert("RGB").quantize(256, octree).save(path, optimize=True)
         if self.recording:
             (HOME / "figures").mkdir(exist_ok=True)
             shutil.copyfile(path, HOME / "figures" / path.name)
