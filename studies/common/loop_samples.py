@@ -111,13 +111,13 @@ def s_curves(n: int) -> tuple[dict[str, Curves], PhaseCurves]:
     a2 = 2.0 * CURVE_S * theory.ratio_hz(CURVE_DBHZ)
     z = open_loop.dumps(GPS_L1CA, np.zeros(1), phase_cycles=phase, cn0_dbhz=CURVE_DBHZ,
                         integration_s=CURVE_S, n_dump=n)[..., 0]  # fmt: skip
-    noisy = np.array([
+    found = np.array([
         [[phase_error(kind, complex(x), a2) for x in row] for row in z]
         for kind in PHASE_DISCRIMINATORS.values()
     ])  # fmt: skip
     formula = np.array([noisy.mean_phase_error(k, phase, a2) for k in PHASE_DISCRIMINATORS])
-    sigma = noisy.std(axis=-1) / np.sqrt(n)
-    return out, PhaseCurves(phase, noisy.mean(axis=-1), formula, sigma)
+    sigma = found.std(axis=-1) / np.sqrt(n)
+    return out, PhaseCurves(phase, found.mean(axis=-1), formula, sigma)
 
 
 def _code_curves(
@@ -139,9 +139,9 @@ def _code_curves(
             n_dump=count, noise=noise,
         )  # fmt: skip
         both.append(np.array([discriminate(k, taps, a2, slope, level) for k in kinds]))
-    quiet, noisy = both
-    sigma = noisy.std(axis=-1) / np.sqrt(n)
-    return Curves(error, quiet[..., 0], formula, noisy.mean(axis=-1), sigma)
+    quiet, found = both
+    sigma = found.std(axis=-1) / np.sqrt(n)
+    return Curves(error, quiet[..., 0], formula, found.mean(axis=-1), sigma)
 
 
 CN0_KINDS = ("nwpr", "snv 20 ms", "m2m4 20 ms", "m2m4 1 ms")
