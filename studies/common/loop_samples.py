@@ -12,6 +12,7 @@ from signals.codes import GPS_L1CA, GPS_L1CD
 from signals.signal_row import Signal
 from ultratight.tracking import cn0_estimators as estimators
 from ultratight.tracking import loop_theory as theory
+from ultratight.tracking import noisy_phase as noisy
 from ultratight.tracking.discriminators import (
     CODE_DISCRIMINATORS,
     PHASE_DISCRIMINATORS,
