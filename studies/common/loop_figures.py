@@ -25,7 +25,7 @@ def tidy(ax: Axes, xlabel: str, ylabel: str, title: str = "") -> None:
     ax.set_ylabel(ylabel, fontsize=SMALL)
     ax.set_title(title, fontsize=SMALL)
     ax.grid(True, alpha=0.3)
-    ax.tick_params(labelsize=7.0)
+    ax.tick_params(which="both", labelsize=7.0)
 
 
 def jitter_page(
