@@ -70,8 +70,8 @@ def thermal(flown: dict[str, Flown]) -> list[Claim]:
             "sqrt(Bn / (C/N0) [1 + 1 / (2 T C/N0)]) rad, a pilot without the bracket: ratio 1",
             (*(pooled(n, "carrier") for n in phase), worst("worst cell", plls, "carrier"),
              *near(plls, "carrier", phase)),
-            "Bn is that of the digital loop; next to the threshold jitter grows beyond linear theory, "
-            "and a pilot is lost at 24 dB-Hz where the rule says 15.6: 25 dB-Hz is not clear of it",
+            "Bn is that of the digital loop; near the threshold jitter grows beyond linear "
+            "theory, and a pilot is lost at 24 dB-Hz where the rule says 15.6: 25 is not clear of it",
         ),
         Claim(
             "loop-dll-jitter", f"DLL thermal jitter, {where} of the carrier loop", f"{BK}; {KH}",
@@ -215,8 +215,9 @@ def thresholds(flown: dict[str, Flown]) -> list[Claim]:
             "loop-threshold-own", "The larger of the rule's threshold and of the indicator's",
             "this project", "C/N0 at which noise takes the indicator to its limit: within 2 dB",
             tuple(ours),
-            "low by 1.4 to 5.2 dB: jitter grows before the limit is reached, an arctangent of 1 ms has "
-            "lost its slope, and an FLL's own error adds to the noise of its indicator", target=True,
+            "low by 1.4 to 5.2 dB: jitter grows before the limit is reached, an arctangent of "
+            "1 ms has lost its slope, and an FLL's own error adds to the noise of its indicator",
+            target=True,
         ),
         Claim(
             "loop-threshold-stress", "Tracking threshold with 22.5 deg of stress by jerk or "
@@ -244,7 +245,8 @@ def curve_claims(curves: tuple[dict[str, Curves], PhaseCurves]) -> list[Claim]:
             f"{KH}; triangle and BOC(1,1) by hand", "R of independent chips in each definition",
             tuple(number(n, x, Must("below", 0.1), "D/2 at most, errors up to D/2")
                   for n, x in off.items()),
-            "what is left are the side lobes of C/A codes, 6 % of the peak; at D = 1 both flanks have them",
+            "what is left are the side lobes of C/A codes, 6 % of the peak; at D = 1 both "
+            "flanks have them",
         ),
         Claim(
             "loop-s-noise", "In noise, 30 dB-Hz and 10 ms, dot product and power keep their curve",
@@ -293,6 +295,7 @@ def cn0_claims(cn0: dict[str, np.ndarray]) -> list[Claim]:
             (bias("m2m4 1 ms", 20.0, about(4.6, 0.6)),
              number("without an answer", none, Must("within", (0.35, 0.51))),
              bias("m2m4 1 ms", 30.0, None)),
-            "2 M2^2 - M4 is a small difference of large numbers; the mean is of those with an answer",
+            "2 M2^2 - M4 is a small difference of large numbers; the mean is of those with "
+            "an answer",
         ),
     ]  # fmt: skip
