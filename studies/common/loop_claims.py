@@ -70,8 +70,8 @@ def thermal(flown: dict[str, Flown]) -> list[Claim]:
             "sqrt(Bn / (C/N0) [1 + 1 / (2 T C/N0)]) rad, a pilot without the bracket: ratio 1",
             (*(pooled(n, "carrier") for n in phase), worst("worst cell", plls, "carrier"),
              *near(plls, "carrier", phase)),
-            "Bn is that of the digital loop; near the threshold jitter grows beyond linear "
-            "theory, and a pilot is lost at 24 dB-Hz where the rule says 15.6: 25 is not clear of it",
+            "Bn is that of the digital loop; near the threshold jitter grows beyond linear theory, "
+            "and a pilot is lost at 24 dB-Hz where the rule says 15.6: 25 is not clear of it",
         ),
         Claim(
             "loop-dll-jitter", f"DLL thermal jitter, {where} of the carrier loop", f"{BK}; {KH}",
