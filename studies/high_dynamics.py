@@ -147,8 +147,8 @@ def main() -> None:
     study.say("\nthreshold [dB-Hz] (10 % lost), best setting")
     for name, share in shares.items():
         q = threshold(name, share)
-        value, low_end, high_end = (f"{x:.1f}" for x in (q.value, q.low, q.high))
-        study.say(f"{name:24} {value} [{low_end}, {high_end}]  {best[name]}")
+        found = "" if q.value is None else f"{q.value:.1f} [{q.low:.1f}, {q.high:.1f}]"
+        study.say(f"{q.name:40} {found}  {best[name]}")
     draw(study, shares, best)
     study.conclude([computed(shares, best), aiding(shares), coupling(shares), grades(shares),
                     kinds(shares)])  # fmt: skip
@@ -164,8 +164,14 @@ def search(study: Study, name: str) -> str:
 
 
 def threshold(name: str, share: xr.DataArray) -> Quantity:
-    """Where the mean over the runs crosses 10 %; the bootstrap draws runs."""
-    levels = share["cn0_dbhz"].values
+    """Where the mean over the runs crosses 10 %; the bootstrap draws runs.
+
+    No number where that is beyond the levels flown.
+    """
+    levels, loss = share["cn0_dbhz"].values, share.mean("run").values
+    if loss[-1] > LOSS or loss.max() <= LOSS:
+        side = f"above {levels[-1]:g}" if loss[-1] > LOSS else f"below {levels[0]:g}"
+        return Quantity(f"{name} threshold {side}", None, None, None, "dB-Hz")
     return interval(
         f"{name} threshold", share.transpose("run", "cn0_dbhz").values,
         lambda drawn: crossing(levels, drawn.mean(axis=-2)), "dB-Hz",

@@ -117,14 +117,22 @@ def test_thresholds_follow_from_the_losses(script: Any, invented: Path) -> None:
     down 22.25, at 17.5 and 20.0 dB-Hz 19.75."""
     script("high_dynamics").main()
     told = " ".join((invented / "it" / "report.txt").read_text().split())
-    assert "PLL 3 29.8 [29.8, 29.8] 50 Hz, 2 ms" in told
-    assert "ultra-tight, MEMS 19.8 [19.8, 19.8]" in told
+    assert "PLL 3 threshold 29.8 [29.8, 29.8] 50 Hz, 2 ms" in told
+    assert "ultra-tight, MEMS threshold 19.8 [19.8, 19.8]" in told
     assert (invented / "it" / "high_dynamics.png").stat().st_size > 20_000
     ledger = (invented / "ledger.json").read_text()
     rows = {row["id"]: row["verdict"] for row in script("json").loads(ledger)}
     assert rows["dynamics-pll"] == "not reproduced"  # 29.75 is not 31.2
     assert rows["dynamics-aiding"] == "reproduced"  # 7.5 dB
     assert rows["dynamics-tight"] == "met"  # 2.5 dB
+
+
+def test_a_threshold_beyond_the_levels_is_no_number(script: Any) -> None:
+    found = script("high_dynamics").threshold
+    for loss, side in (([1.0, 0.5], "above 37.5"), ([0.1, 0.0], "below 35")):
+        share = xr.DataArray([loss, loss], {"cn0_dbhz": [35.0, 37.5]}, ("run", "cn0_dbhz"))
+        q = found("PLL 2", share)
+        assert (q.name, q.value, q.low) == (f"PLL 2 threshold {side}", None, None)
 
 
 def test_smallest_bandwidths_follow_from_the_losses(script: Any, invented: Path) -> None:
