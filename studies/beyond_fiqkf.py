@@ -218,10 +218,11 @@ def grid(flown: dict[str, xr.Dataset], model: str, case: str) -> Claim:
             *steady,
         ),
         target=True,
-        why=WHY.get((model, case), ""),
+        why=WHY.get((model, case), SIZES),
     )
 
 
+SIZES = "what a change of force opens is of the order of what the causes leave behind"
 STEADY = (
     "the last jump is over half a second before the last 2.5 s: what it opened is not yet "
     "forgotten, beside a QKF that never doubted"
