@@ -65,6 +65,8 @@ LONGEST_SET = 50
 """Epochs after which hypotheses are merged"""
 QUIET_SET, AFTER_STEP = 3, 25
 """Epochs without a score test after hypotheses were made, with the higher gate after a step"""
+LOUD = 2.0
+"""Mean in-phase number of model D beyond which power has returned unknown to the amplitudes"""
 PASSES_AT_STEP, SEARCHED_MPS, TAIL = 6, 0.5, 4.0
 """Linearisations at a step; how well a search finds it; beyond how many variances it is a tail"""
 USUAL = 25
@@ -190,7 +192,9 @@ class JumpTriggered:
         if measurement.z.size and o.gate < math.inf:
             j = int(bank.log_weight.argmax()) if len(updates) > 1 else 0
             windowed, single = self.score.watch(loaded, updates[j])
-            if self._fires(windowed, single):
+            if not prediction.layout.n_phase and measurement.z[:, 0].mean() > LOUD:
+                self.score.reset()  # what is off is the scale of every number, not the motion
+            elif self._fires(windowed, single):
                 self.notes.append(("reopened", f"score test {max(windowed, single):.0f}"))
                 self.score.reset()
                 self.since_fire = 0
