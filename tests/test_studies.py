@@ -179,7 +179,7 @@ def test_scripts_say_what_they_cost_without_flying(name: str) -> None:
         [sys.executable, STUDIES / f"{name}.py", "--count", "--quick"],
         capture_output=True, text=True, check=True,
     )  # fmt: skip
-    assert float(done.stdout) > 10.0
+    assert float(done.stdout) > 1.0  # runs of 50 s in closed form
     assert time.monotonic() - began < 60.0
 
 
