@@ -25,7 +25,7 @@ from ultratight.plots import COLOURS, STYLES
 from ultratight.scenario import Receiver
 
 LEVELS = (20.0, 21.0, 22.0, 23.0, 24.0, 26.0, 28.0, 30.0, 35.0, 40.0, 50.0)
-DURATION_S, RUNS = 30.0, 24
+DURATION_S, RUNS = 30.0, 12
 REST_LEVELS = (20.0, 22.5, 25.0, 27.5, 30.0, 35.0, 50.0)
 REST_S, REST_RUNS = 15.0, 6
 SETTLED_S, LOSS, FIRST_SEED = 5.0, 0.1, 501

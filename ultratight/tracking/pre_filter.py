@@ -103,7 +103,9 @@ def channel_facts(codes: np.ndarray, pilot: np.ndarray, spacing_chips: float) ->
     _early_minus_late(codes, spacing_chips, found)
     if not (found[0] > 0.0).all():
         raise ValueError(f"spacing_chips is {spacing_chips:g}: early minus late has no slope")
-    return ChannelFacts(codes[:, WAVELENGTH].copy(), codes[:, CHIP].copy(), *found, pilot)
+    return ChannelFacts(
+        codes[:, WAVELENGTH].copy(), codes[:, CHIP].copy(), found[0], found[1], pilot
+    )
 
 
 # ---- kernels ---------------------------------------------------------------------------------
