@@ -11,7 +11,7 @@ help:
 	@echo "make test      lint, types, layers and all tests"
 	@echo "make bench     speed beside targets, limits, plain code and peers (a few minutes)"
 	@echo "make campaign  the tests with many seeds (some twenty minutes)"
-	@echo "make studies   every study; ledger, page and figures in studies/ (over an hour)"
+	@echo "make studies   every study; ledger, page and figures in studies/ (some three hours)"
 	@echo "make receivers gnss-sdr and RTKLIB, where installed, navigate with our files (minutes)"
 	@echo "make lint      lint, types and layers only"
 	@echo "make format    format the sources"
