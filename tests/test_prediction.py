@@ -242,3 +242,10 @@ def test_command_compiles_nothing(tmp_path):
     )  # fmt: skip
     assert math.isfinite(json.loads(done.stdout)["channels"][0]["margin_db"])
     assert not list(tmp_path.rglob("*.nbc"))
+
+
+def test_of_channels_without_a_threshold_the_worst_is_that_under_most_stress() -> None:
+    found = predict(ultratight.load("jump-1", {"receiver.closure": "scalar"}))
+    most = max(found.channels, key=lambda c: c.stress)
+    assert sum(c.margin_db == -math.inf for c in found.channels) > 1
+    assert f"worst: {most.name}" in "\n".join(lines(found))

@@ -165,10 +165,10 @@ def lines(found: Prediction) -> list[str]:
             f"{c.code_m:7.3f} {c.stress:9.2f} {c.stress_unit:4} {_decibels(c.threshold_dbhz):>8} "
             f"{_decibels(c.margin_db):>7}  {c.limited_by}"
         )
-    least = min(found.channels, key=lambda c: c.margin_db)
+    least = min(found.channels, key=lambda c: (c.margin_db, -c.stress))
     if least.margin_db < 0.0:
         below = sum(c.margin_db < 0.0 for c in found.channels)
-        out.append(f"{below} of {len(found.channels)} channels will be lost, {least.name} first")
+        out.append(f"{below} of {len(found.channels)} channels will be lost; worst: {least.name}")
     else:
         out.append(f"least margin: {least.name}, {least.margin_db:.1f} dB")
     out.append("jitter 1 sigma, stress the largest error that motion causes; not known here:")
