@@ -196,7 +196,7 @@ def same(ds: xr.Dataset) -> Claim:
         source="independent prototype",
         theirs="EKF, QKF and all rules coincide for a phase s.d. below 0.1 rad",
         ours=tuple(quantities),
-        why="no nonlinearity to capture, no innovation to fade on",
+        why="no nonlinearity to capture; fading on noise alone is paid for",
     )
 
 
