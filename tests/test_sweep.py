@@ -113,3 +113,17 @@ def test_numpy_values_are_values() -> None:
     given = plan(short(), {"cn0_dbhz": cn0, "imu.accel_scale_factor_ppm": list(ppm)})
     plain = plan(short(), {"cn0_dbhz": [30, 31], "imu.accel_scale_factor_ppm": ppm.tolist()})
     assert given.axes == plain.axes
+
+
+def test_ctrl_c_inside_a_compiled_call_is_no_failed_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    """numba hands a KeyboardInterrupt on as the cause of a SystemError."""
+
+    def interrupted(*args: object, **more: object) -> None:
+        try:
+            raise KeyboardInterrupt
+        except KeyboardInterrupt as error:
+            raise SystemError("returned a result with an exception set") from error
+
+    monkeypatch.setattr("ultratight.sweeps.flights.simulate", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        ultratight.sweep("uniform", runs=2, jobs=1)

@@ -180,7 +180,7 @@ def predict(
     nav: Navigation = None,
     as_json: Json = False,
 ) -> None:
-    """Say before a run, in closed form, what jitter, stress and margin each channel will have."""
+    """Jitter, stress and margin of each channel before a run."""
     from ultratight import prediction
 
     chosen = _chosen(source, changes, nav, filter_, closure, measurement, correlator)

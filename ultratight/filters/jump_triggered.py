@@ -192,7 +192,7 @@ class JumpTriggered:
         if measurement.z.size and o.gate < math.inf:
             j = int(bank.log_weight.argmax()) if len(updates) > 1 else 0
             windowed, single = self.score.watch(loaded, updates[j])
-            if not prediction.layout.n_phase and measurement.z[:, 0].mean() > LOUD:
+            if measurement.A.shape[1] == 2 and measurement.z[:, 0].mean() > LOUD:
                 self.score.reset()  # what is off is the scale of every number, not the motion
             elif self._fires(windowed, single):
                 self.notes.append(("reopened", f"score test {max(windowed, single):.0f}"))

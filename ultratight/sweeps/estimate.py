@@ -9,6 +9,7 @@ import numpy as np
 
 from ultratight.scenario import Scenario
 from ultratight.simulation import run as simulate
+from ultratight.sweeps.flights import was_interrupted
 
 SAMPLE_S = 1.0
 """A kind of run is timed for about so long"""
@@ -54,8 +55,9 @@ def _rate(scenario: Scenario, seed: int) -> float:
         simulate(scenario, seed, progress=report)
     except (OSError, MemoryError):
         raise
-    except Exception:  # timed, or a run that a sweep would record as failed
-        pass
+    except Exception as error:  # timed, or a run that a sweep would record as failed
+        if was_interrupted(error):
+            raise KeyboardInterrupt from None
     rates = np.diff(np.array(marks).reshape(-1, 2), axis=0)
     rates = rates[rates[:, 1] > 0.0]
     return float(np.median(rates[:, 0] / rates[:, 1])) if rates.size else 0.0

@@ -105,6 +105,8 @@ def fly_one(item: Item, task: Task, whole: bool = True) -> tuple[Record, Run | N
     except (OSError, MemoryError):
         raise
     except Exception as error:
+        if was_interrupted(error):
+            raise KeyboardInterrupt from None
         failure = reason(error)
     kept = {} if flown is None else {
         name: series(flown, name, scenario.duration_s, task.every_s) for name in task.keep
@@ -112,6 +114,15 @@ def fly_one(item: Item, task: Task, whole: bool = True) -> tuple[Record, Run | N
     made = _record(item, (digest, own_sha), flown, failure, kept)
     made["cost"]["took_s"] = time.perf_counter() - began
     return made, flown
+
+
+def was_interrupted(error: BaseException | None) -> bool:
+    """Is Ctrl-C behind it?  Inside a call of a compiled kernel it comes out as a SystemError."""
+    while error is not None:
+        if isinstance(error, KeyboardInterrupt):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
 
 
 def _record(
