@@ -187,16 +187,19 @@ def test_doppler_is_as_well_known_as_the_filter_says_in_a_run(measurement):
 
 @pytest.mark.slow
 def test_the_jump_is_survived_with_the_margin_that_was_predicted():
-    """2 dB each way, 45 dB-Hz, wide loops: the third-order PLL loses some channels, not others."""
+    """45 dB-Hz: no channel is lost that has 2 dB of margin; all are whose error leaves the quarter
+    of a cycle of the arctangent.  Between 45 and 90 deg the rule is careful: two of two are kept.
+    """
     changes = SCALAR | {"cn0_dbhz": 45.0}
     scenario = ultratight.load("jump-1", changes)
     found = predict(scenario)
     run = ultratight.run(scenario, seed=1, whole=False)
     lost = np.array([run.summary["lost_lock_s"][c.name] is not None for c in found.channels])
-    margin = column(found, "margin_db")
-    assert (margin < -2.0).sum() >= 2
+    margin, stress = column(found, "margin_db"), column(found, "stress")
+    assert (stress > 90.0).sum() >= 2
     assert (margin > 2.0).sum() >= 2
-    assert lost[margin < -2.0].all()
+    assert lost[stress > 90.0].all()
+    assert (margin[stress > 45.0] < 0.0).all()
     assert not lost[margin > 2.0].any()
 
 
