@@ -21,12 +21,14 @@ N_RUN = 20
 
 @pytest.fixture
 def study(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
-    """The script and the ledger; their folder is on no path but theirs."""
+    """The script with its modules, and the ledger; their folder is on no path but theirs."""
     monkeypatch.syspath_prepend(STUDIES)
     import adaptive_in_the_loop
-    from common import ledger
+    from common import adaptation_cells, adaptation_claims, adaptation_measures, ledger
 
-    return SimpleNamespace(script=adaptive_in_the_loop, ledger=ledger)
+    modules = adaptation_cells, adaptation_measures, adaptation_claims, adaptive_in_the_loop
+    names = {name: value for module in modules for name, value in vars(module).items()}
+    return SimpleNamespace(script=SimpleNamespace(**names), ledger=ledger)
 
 
 def made_up(script, errors: dict[tuple[str, str], float], model: str = "C") -> dict:
