@@ -41,11 +41,13 @@ from signals.vectors import body
 GUARD_SAMPLES = 1e-5
 """Instants this little after a sample still include it: float64 resolves 2e-6 samples at 1 h"""
 
-IfFormat = Literal["int8", "int16", "float32", "bits2"]
+IfFormat = Literal["int8", "int16", "float32", "bits1", "bits2", "bits4"]
 
 _AHEAD = 16  # blocks made ahead per thread for a reader that goes on
 _ROUNDING_VAR = 1.0 / 12.0
-_THRESHOLD = 0.9957  # of the four levels +-1, +-3, in sigma: Max, IRE Trans. IT-6 (1960)
+_STEPS = {"bits1": 1.0, "bits2": 0.9957, "bits4": 0.3352}
+"""In sigma, between the thresholds of the levels +-1, +-3 ...: Max, IRE Trans. IT-6 (1960); the one
+of a single bit is at 0, whatever the step"""
 
 
 class _Scale(NamedTuple):
@@ -62,7 +64,7 @@ _SCALES = {
     "int8": _Scale("int8", 24.0, 127.0, 1.0, 40.0),
     "int16": _Scale("int16", 1000.0, 32767.0, 1.0, 8000.0),
     "float32": _Scale("float32", 1.0, math.inf, 0.0, math.inf),
-    "bits2": _Scale("int8", 0.0, 0.0, 0.0, 0.0),
+    **{name: _Scale("int8", 0.0, 0.0, 0.0, 0.0) for name in _STEPS},
 }
 
 
@@ -81,8 +83,8 @@ class SyntheticIf:
     sample_rate_hz : complex (or real) sampling rate, not below the sub-chip rate.
     seed : of the run; the noise is its stream "thermal".
     if_hz : frequency at which the nominal carrier appears; above 0 and below fs / 2 if real.
-    sample_format : "int8", "int16" (rounded), "float32", or "bits2": -3, -1, 1, 3 as int8, with
-        thresholds at 0 and 0.9957 rms.
+    sample_format : "int8", "int16" (rounded), "float32", or the odd numbers between -2^b and 2^b as
+        int8, "bits1", "bits2" (thresholds at 0 and 0.9957 rms), "bits4" (every 0.3352 rms).
     noise : False leaves the satellites only, at the same scale.
     symbol_chips : length of a data symbol in chips, of all channels or of each.
     workers : threads; the bits do not depend on them.
@@ -91,8 +93,8 @@ class SyntheticIf:
         int8, 1000 of int16, 1 of float32.  int8 takes 1 to 40 and clips at +-127 (24: 5.3 sigma,
         32: 4.0, 40: 3.2), int16 takes 1 to 8000 and clips at +-32767.
 
-    ``sigma`` of the source is that of `IfSource`: what it was given, 1.8855 for "bits2" (the rms
-    of its samples without satellites), and that over sqrt(2) if real.
+    ``sigma`` of the source is that of `IfSource`: what it was given, of few bits the rms of the
+    samples without satellites (1, 1.8855, 5.932), and that over sqrt(2) if real.
 
     Raises
     ------
@@ -252,10 +254,14 @@ class SyntheticIf:
 def _levels(sample_format: str, sigma: float | None, noise: bool) -> tuple[float, float, Quantiser]:
     """Rms of the samples, rms before rounding in steps between levels, and the levels."""
     scale = _SCALES[sample_format]
-    if sample_format == "bits2":
-        rms = math.sqrt(1.0 + 8.0 * math.erfc(_THRESHOLD / math.sqrt(2.0)))
-        drawn = unit = 1.0 / _THRESHOLD
-        bounds = -2.0, 1.0, 0.5, 1.0
+    if sample_format in _STEPS:
+        step, n = _STEPS[sample_format], 1 << (int(sample_format[4:]) - 1)
+        # E q^2 by parts: (2 k + 1)^2 - (2 k - 1)^2 = 8 k more beyond each threshold k
+        rms = math.sqrt(
+            1.0 + sum(8 * k * math.erfc(k * step / math.sqrt(2.0)) for k in range(1, n))
+        )
+        drawn = unit = 1.0 / step
+        bounds = -float(n), n - 1.0, 0.5, 1.0
     else:
         rms = unit = scale.sigma if sigma is None else float(sigma)
         # rounding adds its own variance: what is drawn leaves room for it
@@ -287,8 +293,10 @@ def _check_sampler(
     if not abs(if_hz) <= rate_hz / 2.0:
         raise ValueError(f"if_hz is {if_hz}: expected at most half of {rate_hz:g} Hz")
     scale = _SCALES[sample_format]
-    if sigma is not None and sample_format == "bits2":
-        raise ValueError(f'sigma is {sigma}: expected none, the thresholds of "bits2" follow it')
+    if sigma is not None and sample_format in _STEPS:
+        raise ValueError(
+            f'sigma is {sigma}: expected none, the thresholds of "{sample_format}" follow it'
+        )
     if sigma is not None and not (
         math.isfinite(sigma) and sigma > 0.0 and scale.least_sigma <= sigma <= scale.most_sigma
     ):

@@ -16,7 +16,7 @@ from typing import Protocol
 
 import numpy as np
 
-from signals.sample_formats import VALUES_PER_BYTE, FileFormat, decode, file_format
+from signals.sample_formats import FileFormat, decode, file_format
 
 _RATES_HZ = 1.0, 1e12
 _LAST_SAMPLE = 2**53  # n / rate still tells one sample from the next
@@ -114,9 +114,8 @@ class Recording:
         self._swap, self._conjugate = swap_iq, conjugate
         self.first_sample, self.end_sample = first_sample, first_sample + n
         # int16 as float32: one set of compiled correlators fewer
-        small = self.format.packed or self.format.dtype.itemsize == 1
-        self.dtype = np.dtype(np.int8 if small else np.float32)
-        as_stored = self.format.components == 2 and not (self.format.packed or swap_iq or conjugate)
+        self.dtype = np.dtype(np.int8 if self.format.value_dtype == np.int8 else np.float32)
+        as_stored = self.format.components == 2 and not (swap_iq or conjugate)
         as_stored = as_stored and self._stored.dtype == self.dtype
         self._pairs = np.asarray(self._stored).reshape(-1, 2) if as_stored else None
         self.sigma = measured_sigma(self) if sigma is None else float(sigma)
@@ -145,12 +144,10 @@ class Recording:
 
     def _values(self, a: int, b: int) -> np.ndarray:
         """Recorded values of samples a ... b - 1, (b - a, components), as they stand."""
-        k = self.format.components
-        if not self.format.packed:
-            return decode(self._stored[a * k : b * k], self.format)
-        first = a * k // VALUES_PER_BYTE
-        values = decode(self._stored[first : -(-b * k // VALUES_PER_BYTE)], self.format)
-        skipped = a - first * VALUES_PER_BYTE // k
+        k, per_byte = self.format.components, self.format.per_byte
+        first = a * k // per_byte
+        values = decode(self._stored[first : -(-b * k // per_byte)], self.format)
+        skipped = a - first * per_byte // k
         return values[skipped : skipped + b - a]
 
     def spread(self, blocks: int = _MEASURED_BLOCKS) -> Iterator[np.ndarray]:

@@ -3,7 +3,7 @@
 A SigMF recording is NAME.sigmf-data and NAME.sigmf-meta (sigmf.org, version 1.2).  The nominal
 carrier stands at ``if_hz`` of the file, hence ``core:frequency``, the radio frequency of the file's
 0 Hz, is the carrier minus ``if_hz``.  What SigMF does not know is kept in the namespace
-"ultratight".  2-bit packed samples are NAME.bin, described by NAME.json with the same keys.
+"ultratight".  Packed samples are NAME.bin, described by NAME.json with the same keys.
 """
 
 from __future__ import annotations
@@ -22,10 +22,6 @@ from signals.sample_formats import FORMATS, file_format
 SIDE_CAR = "ultratight-if-1"
 """Mark of our description of packed samples"""
 _OWN = "ultratight:"
-_LAYOUT = (
-    "2-bit sign and magnitude (00 +1, 01 +3, 10 -1, 11 -3), first value in the lowest bits of a "
-    "byte, I before Q"
-)
 _SIGNS = (
     "samples are I + jQ; a carrier above core:frequency turns counter-clockwise; positive Doppler "
     "(approaching) raises the carrier; GPS L1 stands at if_hz"
@@ -91,8 +87,9 @@ def metadata(d: Description) -> dict[str, Any]:
     }
     head = {key: value for key, value in head.items() if value != ""}
     head |= {_OWN + key: value for key, value in own.items()}
-    if form.sigmf is None:
-        side = {"mark": SIDE_CAR, "format": form.name, "layout": _LAYOUT}
+    if form.packing is not None:
+        layout = form.packing.text + ("" if form.real else ", I before Q")
+        side = {"mark": SIDE_CAR, "format": form.name, "layout": layout}
         return side | {"global": head, "captures": [capture], "annotations": [*d.annotations]}
     return _validated(
         {

@@ -91,16 +91,22 @@ def test_the_other_sideband_is_noticed(sky: Path, tmp_path: Path, say: Callable[
     assert right.err == ""
 
 
-def test_clipped_samples_are_said_to_be(sky: Path, tmp_path: Path, say: Callable[..., Any]) -> None:
+@pytest.mark.parametrize("form", ["ci8", "cu8"])
+def test_clipped_samples_are_said_to_be(
+    sky: Path, tmp_path: Path, say: Callable[..., Any], form: str
+) -> None:
     """Ten times too large: about 60 % beyond 127 (sigma 240); what is left is enough."""
     raw = tmp_path / "loud.bin"
-    np.clip(10 * values(sky).astype(int), -128, 127).astype(np.int8).tofile(raw)
-    words = ("--format", "ci8", "--rate", FS, "--if-hz", 1e5, "--prn", "2,6,17,28", "--json")
+    loud = np.clip(10 * values(sky).astype(int), -128, 127)
+    (loud.astype(np.int8) if form == "ci8" else (loud + 128).astype(np.uint8)).tofile(raw)
+    words = ("--format", form, "--rate", FS, "--if-hz", 1e5, "--prn", "2,6,17,28", "--json")
     said = say("acquire", raw, *words)
     told = json.loads(said.out)
     assert told["found"] == PRNS
     assert len(told["warnings"]) == 1
     assert "loud.bin: clipped, " in told["warnings"][0]
+    ends = {"ci8": "-128 and 127", "cu8": "0 and 255"}[form]
+    assert f"at the ends of {form}, {ends};" in told["warnings"][0]
     share = float(told["warnings"][0].split("clipped, ")[1].split("%")[0])
     assert share == pytest.approx(60.0, abs=3.0)  # 2 Q(126 / 240)
 

@@ -20,6 +20,7 @@ from signals.correlator import SampleCorrelator
 from signals.lnav_words import find_subframes
 from signals.navigation_message import decode_navigation
 from signals.nco import Nco, Taps
+from signals.sample_formats import file_format
 from signals.sigmf_files import open_recording
 from ultratight import generate
 from ultratight.__main__ import main
@@ -79,25 +80,36 @@ FORMATS = {
     "ri16": ("--if-hz", 1.2e6),
     "ci2p": ("--if-hz", 1e5),
     "ri2p": ("--if-hz", 1.2e6),
+    "cu8": ("--if-hz", 0),
+    "ci1pm": ("--if-hz", 1e5),
+    "ri1p": ("--if-hz", 1.2e6),
+    "ci4ptm": ("--if-hz", 1e5),
 }
 """Format: an option"""
 
 
-def two_bit_gain(satellites: float) -> float:
-    """Amplitude that 2-bit samples -3 -1 1 3 leave, over that of the noise alone before them.
+STEPS = {1: 0.0, 2: 0.9957, 4: 0.3352}
+"""Bits: between thresholds, in sigma; Max (1960)"""
+
+
+def gain_of_few_bits(bits: int, satellites: float) -> float:
+    """Amplitude that odd levels of so many bits leave, over that of the noise alone before them.
 
     Bussgang (1952): a weak signal in Gaussian noise of variance s^2 passes with the mean slope of
-    the steps, sqrt(2/pi) (1 + 2 exp(-T^2 / 2 s^2)) / s; ``satellites`` is their power over the
-    noise's, which for many of them acts as more noise.  Without: -0.549 dB at T = 0.9957.
+    the steps, sqrt(2/pi) (1 + 2 sum exp(-T_k^2 / 2 s^2)) / s; ``satellites`` is their power over
+    the noise's, which for many of them acts as more noise.
     """
-    threshold, s2 = 0.9957, 1.0 + satellites
-    slope = np.sqrt(2.0 / np.pi / s2) * (1.0 + 2.0 * np.exp(-(threshold**2) / 2.0 / s2))
-    return slope / np.sqrt(1.0 + 8.0 * erfc(threshold / np.sqrt(2.0)))
+    k, s2 = np.arange(1, 2 ** (bits - 1)), 1.0 + satellites
+    slope = np.sqrt(2.0 / np.pi / s2) * (
+        1.0 + 2.0 * np.exp(-((k * STEPS[bits]) ** 2) / 2.0 / s2).sum()
+    )
+    return slope / np.sqrt(1.0 + (8.0 * k * erfc(k * STEPS[bits] / np.sqrt(2.0))).sum())
 
 
-def test_the_loss_of_two_bits_is_the_published_one() -> None:
-    """Max (1960); Kaplan & Hegarty, 3rd ed., ch. 8: 0.55 dB."""
-    assert -20.0 * np.log10(two_bit_gain(0.0)) == pytest.approx(0.549, abs=0.001)
+@pytest.mark.parametrize(("bits", "loss_db"), [(1, 1.9612), (2, 0.5495), (4, 0.0504)])
+def test_the_loss_of_few_bits_is_the_published_one(bits: int, loss_db: float) -> None:
+    """Max (1960), theory/quantization_loss.csv; two bits: Kaplan & Hegarty, 3rd ed., ch. 8."""
+    assert -20.0 * np.log10(gain_of_few_bits(bits, 0.0)) == pytest.approx(loss_db, abs=0.0002)
 
 
 @pytest.mark.parametrize("form", FORMATS)
@@ -115,8 +127,9 @@ def test_the_truth_tracks_the_file(make: Callable[..., Made], form: str) -> None
     n = iq.size
     assert n >= 4 * 97
     expected = np.sqrt(2.0 * 10 ** (DBHZ / 10.0) * 0.02)
-    if form.endswith("2p"):
-        expected *= two_bit_gain((8.0 if form == "ri2p" else 4.0) * 10 ** (DBHZ / 10.0) / 4e6)
+    if packing := file_format(form).packing:
+        satellites = (8.0 if form.startswith("r") else 4.0) * 10 ** (DBHZ / 10.0) / 4e6
+        expected *= gain_of_few_bits(packing.bits, satellites)
     sigma = 1.0 / np.sqrt(n)
     measured_db = 20.0 * np.log10(iq.real.mean() / expected)
     # beside the noise: 0.02 dB for what four satellites are less Gaussian than noise

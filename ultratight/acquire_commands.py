@@ -165,8 +165,8 @@ def _clipped(recording: Recording) -> list[str]:
     """A line if many values are at the ends of what their type holds."""
     import numpy as np
 
-    kind = recording.format.dtype
-    if recording.format.packed or kind.kind != "i":
+    form, kind = recording.format, recording.format.value_dtype
+    if form.packed or kind.kind != "i":
         return []
     values = np.concatenate(list(recording.spread()))
     ends = np.iinfo(kind)
@@ -174,8 +174,8 @@ def _clipped(recording: Recording) -> list[str]:
     if share < _CLIPPED:
         return []
     return [
-        f"{recording.name}: clipped, {share:.1%} of the values are at the ends of "
-        f"{recording.format.name}, {ends.min} and {ends.max}; expected below {_CLIPPED:.0%}"
+        f"{recording.name}: clipped, {share:.1%} of the values are at the ends of {form.name}, "
+        f"{np.iinfo(form.dtype).min} and {np.iinfo(form.dtype).max}; expected below {_CLIPPED:.0%}"
     ]
 
 

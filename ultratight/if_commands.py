@@ -32,7 +32,10 @@ def generate(
         float | None, typer.Option("--if-hz", metavar="HZ", help="where L1 stands in the file")
     ] = None,
     form: Annotated[
-        str, typer.Option("--format", metavar="NAME", help="ci8 ci16 cf32 ri8 ri16 rf32 ci2p ri2p")
+        str,
+        typer.Option(
+            "--format", metavar="NAME", help="ci8 ci16 cf32 cu8 ci1p ci2p ci4p; real: ri8 and so on"
+        ),
     ] = "ci8",
     start: Annotated[
         str | None, typer.Option(metavar="WEEK:TOW", help="GPS time of the first sample")

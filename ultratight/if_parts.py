@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from signals.sample_formats import VALUES_PER_BYTE, FileFormat, encode
+from signals.sample_formats import FileFormat, encode
 from ultratight.config import InvalidInput
 from ultratight.resume import differences, lock
 
@@ -135,7 +135,7 @@ class Parts:
         self.n_samples += len(samples)
         if self._form.packed:
             samples = np.concatenate([self._rest, samples])
-            whole = len(samples) - len(samples) % (VALUES_PER_BYTE // self._form.components)
+            whole = len(samples) - len(samples) % (self._form.per_byte // self._form.components)
             samples, self._rest = samples[:whole], samples[whole:]
         self._samples.write(encode(samples, self._form))
 

@@ -13,7 +13,8 @@ from signals.sample_formats import FileFormat
 from ultratight.config import InvalidInput
 from ultratight.world import World
 
-_KINDS: dict[str, IfFormat] = {"i1": "int8", "i2": "int16", "f4": "float32", "u1": "bits2"}
+_KINDS: dict[str, IfFormat] = {"i1": "int8", "i2": "int16", "f4": "float32"}
+_PACKED: dict[int, IfFormat] = {1: "bits1", 2: "bits2", 4: "bits4"}
 _BLOCK = 1 << 19
 
 
@@ -32,7 +33,9 @@ def if_source(w: World, state: SignalState, form: FileFormat, rms: float | None)
             w.seed,
             if_hz=f.if_hz,
             symbol_chips=w.channels.symbol_chips,
-            sample_format=_KINDS[form.dtype.str[1:]],
+            sample_format=(
+                _PACKED[form.packing.bits] if form.packing else _KINDS[form.value_dtype.str[1:]]
+            ),
             real=form.real,
             sigma=rms,
             workers=os.cpu_count() or 1,

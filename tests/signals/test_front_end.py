@@ -203,21 +203,29 @@ def test_a_real_sampler_has_its_carrier_at_if_hz(path):
     np.testing.assert_allclose(x, math.sqrt(2) * z.real, atol=1e-6)
 
 
-def test_four_levels(path):
-    """Thresholds at 0 and 0.9957 sigma; for weak signals in Gaussian noise the power kept is
-    E[x q]^2 / E[q^2] = 0.8812 (theory/quantization_loss.csv: 4 levels; Max 1960)."""
+@pytest.mark.parametrize(
+    ("form", "step", "levels", "efficiency"),
+    [
+        ("bits1", 9.0, 2, 0.636620),
+        ("bits2", 0.9957, 4, 0.881154),
+        ("bits4", 0.3352, 16, 0.988457),
+    ],
+)
+def test_few_levels(path, form, step, levels, efficiency):
+    """Odd levels between thresholds at 0 and every step; for weak signals in Gaussian noise the
+    power kept is E[x q]^2 / E[q^2] (theory/quantization_loss.csv: efficiency and best step of 2, 4
+    and 16 levels; Max 1960)."""
     state = truth([0.0])
     silent = state._replace(valid=np.zeros_like(state.valid))
-    source = SyntheticIf(silent, chips(1), FS, 5, sample_format="bits2")
+    source = SyntheticIf(silent, chips(1), FS, 5, sample_format=form)
     q = source.samples(0, 80_000)
     x = SyntheticIf(silent, chips(1), FS, 5, sample_format="float32").samples(0, 80_000)
-    edge = np.abs(np.abs(x) - 0.9957) < 1e-6
-    np.testing.assert_array_equal(
-        q[~edge], (np.sign(x) * np.where(np.abs(x) > 0.9957, 3, 1))[~edge]
-    )
+    edge = np.abs(x / step - np.rint(x / step)) < 2e-6
+    expected = 2 * np.clip(np.floor(x / step), -levels / 2, levels / 2 - 1) + 1
+    np.testing.assert_array_equal(q[~edge], expected[~edge])
     x, q = x.ravel().astype(float), q.ravel().astype(float)
     kept = np.mean(x * q) ** 2 / np.mean(q * q) / np.mean(x * x)
-    assert kept == pytest.approx(0.881154, abs=4 * 0.33 / np.sqrt(x.size))
+    assert kept == pytest.approx(efficiency, abs=4 * 0.33 / np.sqrt(x.size))
     assert q.std() == pytest.approx(source.sigma, rel=4 / np.sqrt(2 * x.size))
 
 
