@@ -216,15 +216,21 @@ def sky_variables(world: World, t_s: np.ndarray) -> dict[str, Variable]:
     }
 
 
-def carrier_error_hz(world: World, history: History) -> np.ndarray:
-    """NCO's carrier frequency less the true one (n_epoch, n_channel) where its last piece began."""
+def replica_errors(world: World, history: History) -> tuple[np.ndarray, np.ndarray]:
+    """NCO's carrier frequency [Hz] and code phase [chips] less the true ones.
+
+    (n_epoch, n_channel), where the last piece of an epoch began; NaN after the receiver's end.
+    """
     if history.nco is None:
-        return np.full((history.t_s.size, world.prn.size), np.nan)
+        none = np.full((history.t_s.size, world.prn.size), np.nan)
+        return none, none
     truth, t = world.signal, history.t_s - history.piece_s
     k = np.clip(np.searchsorted(truth.t_s, t + 1e-9, "right") - 1, 0, truth.t_s.size - 2)
     h = t - truth.t_s[k]
-    c = truth.carrier_phase_cycles[:, k]
-    return history.nco[0] - (c[..., 1] + h * (2.0 * c[..., 2] + 3.0 * h * c[..., 3])).T
+    carrier, code = truth.carrier_phase_cycles[:, k], truth.code_phase_chips[:, k]
+    hz = carrier[..., 1] + h * (2.0 * carrier[..., 2] + 3.0 * h * carrier[..., 3])
+    chips = code[..., 0] + h * (code[..., 1] + h * (code[..., 2] + h * code[..., 3]))
+    return history.nco[0] - hz.T, history.nco[1] - chips.T
 
 
 # ---- kernels ---------------------------------------------------------------------------------

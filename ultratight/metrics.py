@@ -18,6 +18,8 @@ AFTER_S = 10.0
 OFF_CARRIER_HZ, OFF_CARRIER_S = 25.0, 0.2
 """Frequency lock by the truth is lost by so much for so long: half the rate of data bits, as in the
 comparison of Vilnrotter, Hinedi & Kumar (IEEE TAES 25(4), 1989)"""
+OFF_CODE_CHIPS = 0.5
+"""And code lock by so much"""
 VELOCITY = slice(3, 6)
 """Where the velocity stands in the covariance of a run"""
 
@@ -101,15 +103,44 @@ def off_carrier_s(t_s: np.ndarray, error_hz: np.ndarray) -> np.ndarray:
     error_hz (n_epoch, n_channel): its frequency error at times t_s (n_epoch,), NaN after the end
     of the receiver, which counts as off.  NaN where it never was.
     """
-    out = np.full(error_hz.shape[1], np.nan)
+    return _began_s(t_s, _lasting(t_s, ~(np.abs(error_hz) <= OFF_CARRIER_HZ)))
+
+
+def off_signal_s(
+    t_s: np.ndarray, error_hz: np.ndarray, error_chips: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """When each replica (n_channel,) first was off its signal, and since when it no longer is [s].
+
+    As `off_carrier_s`, where being off the code by more than `OFF_CODE_CHIPS` counts too.  The
+    second is the time after the last loss, t_s[0] where there was none; NaN where it lasts.
+    """
+    off = ~((np.abs(error_hz) <= OFF_CARRIER_HZ) & (np.abs(error_chips) <= OFF_CODE_CHIPS))
+    lasting = _lasting(t_s, off)
+    last_off = lasting.shape[0] - 1 - lasting[::-1].argmax(axis=0)
+    since = np.where(lasting.any(axis=0), last_off + 1, 0)
+    there = since < t_s.size
+    back = np.full(since.shape, np.nan)
+    back[there] = t_s[since[there]]
+    return _began_s(t_s, lasting), back
+
+
+def _lasting(t_s: np.ndarray, off: np.ndarray) -> np.ndarray:
+    """Rows (n_epoch, n_channel) of stretches of ``off`` that last `OFF_CARRIER_S` at least."""
     n = max(1, int(np.searchsorted(t_s - t_s[0], OFF_CARRIER_S - 1e-9))) if t_s.size else 1
     if t_s.size < n:
-        return out
-    off = ~(np.abs(error_hz) <= OFF_CARRIER_HZ)
-    so_far = np.concatenate([np.zeros((1, off.shape[1]), int), np.cumsum(off, axis=0)])
-    began = so_far[n:] - so_far[:-n] == n
-    found = began.any(axis=0)
-    out[found] = t_s[began.argmax(axis=0)][found]
+        return np.zeros(off.shape, bool)
+    none = np.zeros((1, off.shape[1]), int)
+    so_far = np.concatenate([none, np.cumsum(off, axis=0)])
+    began = so_far[n:] - so_far[:-n] == n  # n rows from here on
+    so_many = np.concatenate([none, np.cumsum(began, axis=0)])
+    k = np.arange(off.shape[0])
+    return so_many[np.minimum(k + 1, began.shape[0])] > so_many[np.maximum(k + 1 - n, 0)]
+
+
+def _began_s(t_s: np.ndarray, lasting: np.ndarray) -> np.ndarray:
+    out = np.full(lasting.shape[1], np.nan)
+    found = lasting.any(axis=0)
+    out[found] = t_s[lasting.argmax(axis=0)][found]
     return out
 
 

@@ -13,7 +13,7 @@ from ultratight import metrics
 from ultratight.consistency import TIGHT
 from ultratight.filters.catalog import make_filter
 from ultratight.filters.gaussian import Filter
-from ultratight.history import History, carrier_error_hz, sky_variables, truth_variables
+from ultratight.history import History, replica_errors, sky_variables, truth_variables
 from ultratight.ins.imu import Increments
 from ultratight.provenance import provenance
 from ultratight.results import Event, Run
@@ -118,8 +118,14 @@ def run(
         provenance=provenance(scenario, seed),
         summary={},
     )
-    off = metrics.off_carrier_s(history.t_s, carrier_error_hz(world, history))
-    run_.summary.update(_summary(run_, scenario, world, closure, off, (wall, loop), filter))
+    hz, chips = replica_errors(world, history)
+    off, back = metrics.off_signal_s(history.t_s, hz, chips)
+    by_truth = {
+        "off_carrier_s": metrics.off_carrier_s(history.t_s, hz),
+        "off_signal_s": off,
+        "on_signal_s": back,
+    }
+    run_.summary.update(_summary(run_, scenario, world, closure, by_truth, (wall, loop), filter))
     return run_
 
 
@@ -209,20 +215,20 @@ def _summary(
     scenario: Scenario,
     world: World,
     closure: Closure,
-    off_carrier_s: np.ndarray,
+    by_truth: dict[str, np.ndarray],
     took: tuple[float, float],
     own: Filter | None,
 ) -> dict[str, Any]:
     r, (wall, loop) = scenario.receiver, took
     tight = r.closure in TIGHT
     name = (type(own).__name__ if own is not None else r.filter) if tight else None
-    lost, off = (
-        {
+    times = {
+        key: {
             name: round(float(t), 6) if np.isfinite(t) else None
-            for name, t in zip(world.names, times, strict=True)
+            for name, t in zip(world.names, of_channel, strict=True)
         }
-        for times in (closure.first_lost_s, off_carrier_s)
-    )
+        for key, of_channel in {"lost_lock_s": closure.first_lost_s, **by_truth}.items()
+    }
     return {
         "scenario": scenario.name,
         "filter": name,
@@ -232,8 +238,7 @@ def _summary(
         "seed": run_.seed,
         "duration_s": scenario.duration_s,
         "n_satellites": len({name.partition(":")[0] for name in world.names}),
-        "lost_lock_s": lost,
-        "off_carrier_s": off,
+        **times,
         "fall_backs": sum(e.kind == "fall-back" for e in run_.events),
         **metrics.summarise(run_, jump_window(scenario)),
         "wall_s": round(wall, 3),

@@ -26,7 +26,10 @@ FORMAT = "ultratight-sweep-1"
 NAME = "sweep.nc"
 PARTS = f".{NAME}.*.part"
 """What is not whole yet"""
-INNER = {"velocity_rms_mps": "window", "lost_lock_s": "channel", "off_carrier_s": "channel"}
+INNER = {
+    "velocity_rms_mps": "window", "lost_lock_s": "channel", "off_carrier_s": "channel",
+    "off_signal_s": "channel", "on_signal_s": "channel",
+}  # fmt: skip
 """Tables of a summary, and the dimension that their keys become"""
 _BLOCK = 256
 _LEFT_OUT = ("seed", "duration_s")
@@ -39,6 +42,8 @@ _WORDS = {
     "nis_per_measurement": "mean of NIS per measured number outside the jump",
     "lost_lock_s": "first loss of lock of each channel",
     "off_carrier_s": "since when the NCO of each channel was off the true carrier",
+    "off_signal_s": "since when each replica was off its signal, carrier or code",
+    "on_signal_s": "since when each replica was on its signal to the end of the run",
     "n_lost": "channels that lost lock",
     "first_lost_s": "first loss of lock of any channel",
     "fall_backs": "returns from the coherent to the differential measurement",
