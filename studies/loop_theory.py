@@ -15,6 +15,9 @@ from collections.abc import Callable
 import numpy as np
 from common import loop_figures
 from common.campaign import Campaign, Study, carry_out
+from common.code_loop_claims import code_loop_claims
+from common.code_loops import CODE_LOOPS, fly_code_loop
+from common.code_loops import LEVELS as CODE_LEVELS
 from common.loop_cells import CLEAR_DB, DURATION_S, LEVELS, LOOPS, Flown, Loop, fly_loop
 from common.loop_claims import (
     cn0_claims,
@@ -37,7 +40,7 @@ from common.loop_samples import (
 
 from ultratight.provenance import sources_sha256
 
-RUNS, FIRST_SEED = 8, 701
+RUNS, FIRST_SEED, CODE_CHANNELS = 8, 701, 40
 CAMPAIGNS = {"loops": Campaign("", {"loop": {name: {} for name in LOOPS}}, RUNS, FIRST_SEED, 0.3)}
 
 
@@ -51,6 +54,10 @@ def main() -> None:
         name: kept(study, name, loop, runs, FIRST_SEED + k)
         for k, (name, loop) in enumerate(LOOPS.items())
     }
+    code_loops = {
+        name: fly_code_loop(loop, CODE_CHANNELS // (1 if share == 1.0 else 8), FIRST_SEED + k)
+        for k, (name, loop) in enumerate(CODE_LOOPS.items())
+    }
     slips = time_to_slip(1200 if share == 1.0 else 100)
     shots = one_shot(round(4000 * share) + 100)
     curves = s_curves(round(600 * share) + 50)
@@ -59,11 +66,13 @@ def main() -> None:
     tabulate(study, flown, slips, cn0)
     study.figure("loop_theory_jitter", loop_figures.jitter_page(LEVELS, LOOPS, flown, CLEAR_DB))
     study.figure("loop_theory_thresholds", loop_figures.threshold_page(LOOPS, flown, slips))
+    study.figure("loop_theory_code",
+                 loop_figures.code_loop_page(CODE_LEVELS, CODE_LOOPS, code_loops))  # fmt: skip
     study.figure("loop_theory_s_curves", loop_figures.curve_page(curves))
     study.figure("loop_theory_cn0", loop_figures.cn0_page(LEVELS, cn0))
     study.conclude([
-        *thermal(flown), *shot_claims(shots), *stresses(flown), *slip_claims(slips),
-        *thresholds(flown), *curve_claims(curves), *cn0_claims(cn0),
+        *thermal(flown), *code_loop_claims(code_loops), *shot_claims(shots), *stresses(flown),
+        *slip_claims(slips), *thresholds(flown), *curve_claims(curves), *cn0_claims(cn0),
     ])  # fmt: skip
 
 

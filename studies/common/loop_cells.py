@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from common.loop_bench import WAVELENGTH_M, Flight, falling, fly, pulse
+from common.loop_bench import NODE_S, WAVELENGTH_M, Flight, falling, fly, pulse
 from signals.codes import GPS_L1CA
 from ultratight.tracking import loop_theory as theory
 from ultratight.tracking import noisy_phase as noisy
@@ -17,7 +17,7 @@ from ultratight.tracking.channel_state import (
     LOCK_GAIN,
     PHASE_LOST_BELOW,
 )
-from ultratight.tracking.loop_filters import phase_loop
+from ultratight.tracking.loop_filters import frequency_loop, phase_loop
 from ultratight.tracking.scalar import ScalarSettings
 
 LEVELS = (20.0, 25.0, 30.0, 35.0, 40.0, 45.0, 50.0)
@@ -30,6 +30,9 @@ LOSS, LOSS_S = 0.1, 10.0
 """The threshold: that share of the channels is lost in that time"""
 DURATION_S, MEASURED_FROM_S, LOSS_UNTIL_S, JERK_S = 14.0, 5.5, 13.5, (5.0, 11.0)
 STRESS_DBHZ, STRESS_CYCLES = 65.0, 0.5 * theory.COSTAS_LIMIT_CYCLES
+STRESS_HZ, MIDDLE_S = 5.0, 8.0
+"""Of an FLL: the Doppler's rate passes through zero in the middle of what is measured, so that a
+frequency held for a while is late by nothing in the mean"""
 LATE_S = 0.0005
 """A command acts half an epoch late on average: the loops are designed for it"""
 
@@ -51,10 +54,25 @@ class Loop(NamedTuple):
         return self.settings.carrier_discriminator != "atan2"
 
     @property
-    def w(self) -> float:
-        """Natural frequency of the phase loop [rad/s]."""
+    def order(self) -> int:
+        """Of the derivative, of the phase or of an FLL the frequency, that leaves an error."""
         s = self.settings
+        if not self.fll:
+            return s.pll_order
+        return s.pll_order - 1 if s.fll_order is None else s.fll_order
+
+    @property
+    def w(self) -> float:
+        """Natural frequency of the carrier loop [rad/s]."""
+        s = self.settings
+        if self.fll:
+            return frequency_loop(self.order, s.fll_bandwidth_hz, BIT_S, LATE_S)[0]
         return phase_loop(s.pll_order, s.bandwidth_hz, s.integration_s, LATE_S)[0]
+
+    @property
+    def noise_bandwidth_hz(self) -> float:
+        """Bn of the carrier loop."""
+        return self.settings.fll_bandwidth_hz if self.fll else self.settings.bandwidth_hz
 
     def carrier_sigma(self, cn0: float) -> float:
         """Thermal jitter in theory [cycles, or Hz of an FLL]."""
@@ -143,15 +161,8 @@ def fly_loop(loop: Loop, runs: int, seed: int) -> Flown:
         np.repeat(groups[0], runs), np.repeat(groups[1], runs), np.repeat(groups[2], n_stress),
         np.full(STRESSED, STRESS_DBHZ),
     ])  # fmt: skip
-    order = loop.settings.pll_order
-    size = 0.0 if loop.fll else -half * loop.w**order * WAVELENGTH_M
-    # range that shrinks: the phase error is positive
-    acceleration = np.zeros((cn0.size, round(DURATION_S / 0.005) + 1))
-    first = runs * (len(LEVELS) + around.size)
-    if order == 3:
-        acceleration[first:] = pulse(size, *JERK_S, DURATION_S)
-    else:  # a step of the acceleration, as good as one at 5 ms
-        acceleration[first:] = pulse(size / 0.005, JERK_S[0], 0.005, DURATION_S)
+    acceleration = np.zeros((cn0.size, round(DURATION_S / NODE_S) + 1))
+    acceleration[runs * (len(LEVELS) + around.size) :] = _motion(loop)
     f = fly(
         loop.settings, falling(cn0, DURATION_S), DURATION_S, spacing_chips=loop.spacing_chips,
         acceleration=acceleration, seed=seed,
@@ -162,7 +173,7 @@ def fly_loop(loop: Loop, runs: int, seed: int) -> Flown:
         *jitter(loop, f, runs),
         around, lost[ends[0] : ends[1]].reshape(around.size, runs).T,
         stressed, lost[ends[1] : ends[2]].reshape(stressed.size, n_stress).T,
-        _stress(loop, f, ends[2], half),
+        _stress(loop, f, ends[2]),
     )  # fmt: skip
 
 
@@ -187,12 +198,25 @@ def jitter(loop: Loop, f: Flight, runs: int) -> tuple[np.ndarray, np.ndarray]:
     return squares[0], squares[1]
 
 
-def _stress(loop: Loop, f: Flight, first: int, expected: float) -> np.ndarray:
-    """Mean error in the last second of the constant derivative, over theory."""
+def _motion(loop: Loop) -> np.ndarray:
+    """Acceleration (n_node,) of a range that shrinks, so that the error is positive."""
+    order = loop.order
+    size = -(STRESS_HZ if loop.fll else STRESS_CYCLES) * loop.w**order * WAVELENGTH_M
     if loop.fll:
-        return np.full(f.carrier_cycles.shape[1] - first, np.nan)
-    late = (f.t_s > JERK_S[1] - 1.0) & (f.t_s < JERK_S[1])
+        ramp = pulse(size, JERK_S[0], DURATION_S, DURATION_S)
+        return np.where(ramp != 0.0, ramp - size * (MIDDLE_S - JERK_S[0]), 0.0)
+    if order == 3:
+        return pulse(size, *JERK_S, DURATION_S)
+    return pulse(size / NODE_S, JERK_S[0], NODE_S, DURATION_S)  # a step, as good as one at 5 ms
+
+
+def _stress(loop: Loop, f: Flight, first: int) -> np.ndarray:
+    """Mean error under the constant derivative, when it has settled, over theory."""
+    until = MIDDLE_S + 1.0 if loop.fll else JERK_S[1]
+    late = (f.t_s > until - (2.0 if loop.fll else 1.0)) & (f.t_s < until)
+    if loop.fll:
+        return np.asarray(f.hz[late, first:].mean(axis=0) / STRESS_HZ)
     error = f.carrier_cycles[late, first:]
     turn = 0.5 if loop.costas else 1.0
     before = f.carrier_cycles[(f.t_s > JERK_S[0] - 0.5) & (f.t_s < JERK_S[0]), first:].mean(axis=0)
-    return np.asarray((error - turn * np.round(before / turn)).mean(axis=0) / expected)
+    return np.asarray((error - turn * np.round(before / turn)).mean(axis=0) / STRESS_CYCLES)

@@ -101,6 +101,31 @@ def threshold_page(
     return page
 
 
+def code_loop_page(
+    levels: Sequence[float], loops: Mapping[str, Any], flown: Mapping[str, Any]
+) -> Figure:
+    """Code loops without aid: jitter on lines of theory, losses around the rule's threshold."""
+    page = Figure(figsize=(7.5, 7.5), layout="constrained")
+    jitter, loss = page.subplots(2, 1, height_ratios=(3, 2))
+    for k, (name, loop) in enumerate(loops.items()):
+        f, colour, mark = flown[name], COLOURS[k % len(COLOURS)], MARKS[k % len(MARKS)]
+        root = [np.sqrt(np.nanmean(x)) if np.isfinite(x).any() else np.nan for x in f.code.T]
+        measured = np.array(root) * [loop.sigma(x) for x in levels]
+        jitter.plot(FINE_DBHZ, [loop.sigma(x) for x in FINE_DBHZ], color=colour, linewidth=0.9)
+        jitter.plot(levels, measured, mark, color=colour, markersize=4.0, label=name)
+        jitter.axvline(loop.threshold(), color=colour, linewidth=0.6, linestyle=":")
+        loss.plot(f.around - loop.threshold(), f.lost.mean(axis=0), mark + "-", color=colour,
+                  markersize=3.0, linewidth=0.8)  # fmt: skip
+    jitter.set_yscale("log")
+    jitter.legend(fontsize=7.0, loc="upper right")
+    tidy(jitter, "C/N0 [dB-Hz]", "code jitter [chips]",
+         "code loops without aid; lines: theory; points: measured; dotted: the rule")  # fmt: skip
+    tidy(loss, "C/N0 less the rule's threshold [dB]", "channels a chip off within 10 s")
+    loss.axvline(0.0, color="black", linewidth=0.6)
+    loss.axhline(0.1, color="black", linewidth=0.6, linestyle=":")
+    return page
+
+
 def curve_page(curves: tuple[Mapping[str, Any], Any]) -> Figure:
     """S-curves: lines by formula, dots without noise, crosses in the mean of noise."""
     code, phase = curves
