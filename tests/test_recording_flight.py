@@ -25,6 +25,7 @@ from ultratight.ins.attitude import rotation_from_euler, vector_from_rotation
 from ultratight.ins.earth import geodetic_from_ecef, rotation_e_from_n
 from ultratight.ins.imu_table import read_increments, write_increments
 from ultratight.recording_flight import Attitude, Flown, fly_recording, plan
+from ultratight.sky_view import sky_paths
 from ultratight.tracking import acquisition, from_samples
 from ultratight.tracking.acquisition import Acquisition
 from ultratight.tracking.from_samples import Tracks
@@ -274,3 +275,15 @@ def test_imu_data_of_another_frame_or_length_are_refused(drive: Drive, tmp_path:
     assert "ends at t_s = 24.995, expected 27.600 s, the end of the samples" in text
     assert "expected 19." in said(t_s=imu.t_s + 25.0)
     assert "the GNSS velocities ask for 9.8" in said(nu_ib_b=1.2 * imu.nu_ib_b)
+
+
+def test_directions_of_the_satellites_are_those_of_the_truth(drive: Drive) -> None:
+    """Elevation and azimuth to a hundredth of a degree; a metre of position is 3e-6 deg."""
+    paths = sky_paths(drive.nav)
+    assert [path.prn for path in paths] == sorted(drive.tracks.prn.tolist())
+    for path in paths:
+        one = drive.truth.sel(channel=f"G{path.prn:02d}:L1CA")
+        for name, values in (("elevation", path.elevation_deg), ("azimuth", path.azimuth_deg)):
+            true = np.interp(path.t_s, one.t_s.values, np.degrees(one[name].values) % 360.0)
+            np.testing.assert_allclose(values, true, atol=0.01)
+    assert sky_paths(drive.nav._replace(positions=[])) == []

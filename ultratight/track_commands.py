@@ -240,17 +240,21 @@ def _files(nav: Navigation, folder: Path, name: str) -> list[Path]:
 def _navigated(nav: Navigation) -> dict[str, Any]:
     """What --json prints of message and positions; null where there is none."""
     from ultratight import position_files
+    from ultratight.sky_view import sky_paths
 
     words = nav.telemetry
     where = position_files.places(nav)
+    sky = {path.prn: path for path in sky_paths(nav)}
     channels = [
         {
-            "prn": int(prn),
+            "prn": prn,
+            "elevation_deg": float(sky[prn].elevation_deg[-1]) if prn in sky else None,
+            "azimuth_deg": float(sky[prn].azimuth_deg[-1]) if prn in sky else None,
             "subframes": [s.number for s in one.subframes],
             "words": one.words._asdict(),
             "ephemeris": nav.sky is not None and bool((nav.sky.prn == prn).any()),
         }
-        for prn, one in zip(nav.tracks.prn, words, strict=True)
+        for prn, one in zip(nav.tracks.prn.tolist(), words, strict=True)
     ]
     fixes = [p.fix for p in nav.positions if p.fix]
     return {
