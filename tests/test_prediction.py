@@ -15,7 +15,9 @@ import ultratight
 from signals.constants import C_MPS, GPS_L1_HZ
 from ultratight.prediction import lines, predict
 from ultratight.scenario import Scenario
+from ultratight.simulation import fly, new_closure
 from ultratight.tracking.loop_filters import phase_loop
+from ultratight.tracking.steady_filters import phase_filter
 from ultratight.world import World
 
 WAVELENGTH_M = C_MPS / GPS_L1_HZ
@@ -27,6 +29,10 @@ PERFECT_INS = SCALAR | {
     "receiver.closure": "scalar-ins", "imu.grade": "perfect", "imu.lag_s": 0.0,
     "imu.accel_scale_factor_ppm": [0.0, 0.0, 0.0], "receiver.knows.tilt_sigma_mrad": 1e-9,
     "receiver.knows.heading_sigma_mrad": 1e-9,
+}  # fmt: skip
+FEDERATED = {
+    "receiver.closure": "federated", "receiver.filter": "kf",
+    "receiver.measurement": "differential", "receiver.federated.update_s": 0.04,
 }  # fmt: skip
 W = phase_loop(3, 18.0, 0.005, 0.0005)[0]
 DEGREES = 360.0 / WAVELENGTH_M
@@ -144,11 +150,14 @@ def test_the_lowest_of_the_run_counts():
     [
         (27.28, {"receiver.closure": "scalar"}),
         (22.24, {"receiver.filter": "qkf", "receiver.measurement": "differential"}),
+        (23.6, FEDERATED),
+        (18.3, FEDERATED | {"receiver.measurement": "coherent"}),
     ],
 )
 def test_thresholds_are_those_that_were_flown(measured_dbhz, changes):
     """Within 2.5 dB of where a tenth was lost in 15 s: six runs of `studies/snr_sweep.py` a level,
-    [27.2, 27.4] and [22.2, 22.3] dB-Hz."""
+    [27.2, 27.4] and [22.2, 22.3] dB-Hz; federated: seeds 1 to 4 at each dB (known bits 28, 12 and
+    5 % at 17, 18 and 19 dB-Hz, unknown ones 57, 15 and 7 % at 22, 23 and 24)."""
     world = {"imu.grade": "matched", "imu.lag_s": 0.0, "duration_s": 15.0,
              "imu.accel_scale_factor_ppm": [0.0, 0.0, 0.0]}  # fmt: skip
     found = predicted("uniform", world | changes)
@@ -170,19 +179,60 @@ def sight_sigma(run, k):
     return rate / WAVELENGTH_M, length
 
 
-@pytest.mark.parametrize("measurement", ["coherent", "differential"])
-def test_doppler_is_as_well_known_as_the_filter_says_in_a_run(measurement):
+@pytest.mark.parametrize(
+    ("changes", "tolerance"),
+    [
+        ({"receiver.measurement": "coherent"}, 0.2),
+        ({"receiver.measurement": "differential"}, 0.2),
+        (FEDERATED | {"receiver.federated.update_s": 0.02}, 0.06),
+        (FEDERATED, 0.06),
+        (FEDERATED | {"receiver.federated.update_s": 0.1}, 0.06),
+    ],
+)
+def test_doppler_is_as_well_known_as_the_filter_says_in_a_run(changes, tolerance):
     """A short run with the matched IMU; tilts that are still unknown make the run's larger."""
     changes = {
         "duration_s": 8.0, "imu.grade": "matched", "imu.lag_s": 0.0, "receiver.filter": "qkf",
-        "imu.accel_scale_factor_ppm": [0.0, 0.0, 0.0], "receiver.measurement": measurement,
-        "receiver.hand_over_s": 1.0,
-    }  # fmt: skip
+        "imu.accel_scale_factor_ppm": [0.0, 0.0, 0.0], "receiver.hand_over_s": 1.0,
+    } | changes  # fmt: skip
     scenario = ultratight.load("uniform", changes)
     run = ultratight.run(scenario, seed=3)
     found = predict(scenario)
     hz, _ = sight_sigma(run, 15)
-    np.testing.assert_allclose(column(found, "doppler_hz"), hz, rtol=0.2)
+    np.testing.assert_allclose(column(found, "doppler_hz"), hz, rtol=tolerance)
+
+
+@pytest.mark.parametrize("measurement", ["coherent", "differential"])
+def test_phases_are_as_well_known_as_pre_filters_say_in_a_run(measurement):
+    """Sigma of the phase in every pre-filter, just after half a bit."""
+    scenario = ultratight.load(
+        "uniform",
+        FEDERATED | {"duration_s": 8.0, "imu.grade": "matched", "imu.lag_s": 0.0,
+                     "receiver.measurement": measurement, "cn0_dbhz": 40.0},
+    )  # fmt: skip
+    world = World(scenario, 3)
+    closure = new_closure(scenario, world.knows)
+    fly(closure, world.correlator(), world.imu[0], scenario.duration_s)
+    flown = 360.0 / WAVELENGTH_M * np.sqrt(closure.pre.cov[:, 1, 1])
+    np.testing.assert_allclose(column(predict(scenario), "phase_deg"), flown, rtol=0.1)
+
+
+def test_a_pre_filter_lags_behind_an_acceleration_as_its_gain_says():
+    """Each half bit adds a h to the Doppler and the gain K takes K e off: e = a h / K."""
+    jump = FEDERATED | {"imu.grade": "perfect", "imu.lag_s": 0.0, "cn0_dbhz": 38.0}
+    none = column(predicted("jump-1", jump | {"imu.accel_scale_factor_ppm": [0, 0, 0]}), "stress")
+    assert none == pytest.approx(0.0, abs=0.01)
+    wrong = jump | {"imu.accel_scale_factor_ppm": [3000, 0, 0]}
+    found = predicted("jump-1", wrong)
+    a2 = 2.0 * 0.01 * 10.0**3.8
+    variance = (1.0 + 1.0 / a2) / a2 * (WAVELENGTH_M / (2.0 * math.pi)) ** 2
+    noise = World(ultratight.load("jump-1", wrong), 1).knows.process_noise
+    # what the central filter does not know of the acceleration is small here
+    of = phase_filter(noise.clock_sf, noise.clock_sg + noise.velocity, 0.01, variance)
+    step = true_step(World(ultratight.load("jump-1", wrong), 1))
+    lag = 0.003 * step * 0.01 / of.gain[1, 0] * DEGREES
+    np.testing.assert_allclose(column(found, "stress"), lag, rtol=0.1)
+    assert lag.max() > 0.5
 
 
 @pytest.mark.slow
@@ -226,7 +276,6 @@ def test_command_prints_a_table_or_json(say):
         (["uniform", "--filter", "kalmann"], "receiver.filter"),
         (["uniform", "--set", "imu.grade='best'"], "imu.grade"),
         (["nowhere"], "nowhere"),
-        (["uniform", "--set", 'receiver.closure="federated"'], "that has a closed form"),
     ],
 )
 def test_command_refuses_what_a_run_refuses(say, arguments, expected):

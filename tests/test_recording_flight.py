@@ -107,10 +107,17 @@ def test_what_is_told_at_the_start_is_true_within_its_sigma(drive: Drive) -> Non
 
 
 @pytest.mark.parametrize(
-    ("closure", "options"), [("ultra-tight", {"filter_name": "kf"}), ("vdfll", {}), ("vdll", {})]
+    ("closure", "options"),
+    [
+        ("ultra-tight", {"filter_name": "kf"}),
+        ("federated", {"filter_name": "kf"}),
+        ("federated", {"filter_name": "kf", "changes": ["receiver.federated.update_s=0.1"]}),
+        ("vdfll", {}),
+        ("vdll", {}),
+    ],
 )
 def test_position_and_velocity_within_the_filters_own_covariance(
-    drive: Drive, closure: str, options: dict[str, str]
+    drive: Drive, closure: str, options: dict[str, Any]
 ) -> None:
     """Each component within 4.5 sigma in all rows, and no better than a third of what it believes.
 
@@ -118,10 +125,11 @@ def test_position_and_velocity_within_the_filters_own_covariance(
     its random walk of acceleration knows nothing.
     """
     of = flown(drive, closure, **options)
-    assert of.run.t_s[-1] == pytest.approx(27.6, abs=0.021)
+    assert of.run.t_s[-1] == pytest.approx(27.6, abs=0.101)
     assert not of.run.summary["diverged"]
     cov, t = of.run["covariance"], of.run.t_s
-    keep = (t > of.t0_s + 0.5) & ~((closure != "ultra-tight") & (np.abs(t - 24.0) < 2.5))
+    inertial = closure in recording_flight.INERTIAL
+    keep = (t > of.t0_s + 0.5) & (inertial | (np.abs(t - 24.0) > 2.5))
     for part, error in zip((slice(0, 3), slice(3, 6)), errors(drive, of), strict=True):
         sigma = np.sqrt(np.diagonal(cov, axis1=1, axis2=2)[:, part])
         z = (error / sigma)[keep]
@@ -224,7 +232,7 @@ MATCHED = (*TIGHT, "--imu", "IMU", "--imu-grade", "matched")
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (("--closure", "tight"), "--closure: tight given, expected one of ultra-tight, scalar-ins"),
+        (("--closure", "tight"), "--closure: tight given, expected one of ultra-tight, federated"),
         (TIGHT, "--imu: nothing given, expected the IMU's data with ultra-tight"),
         (MATCHED[:-2], "--imu-grade: nothing given, expected the data sheet"),
         ((*MATCHED[:-1], "x"), 'imu.grade: "x" given, expected one of'),

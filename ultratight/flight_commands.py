@@ -20,7 +20,8 @@ ClosureName = Annotated[
     typer.Option(
         "--closure",
         metavar="NAME",
-        help="fly it from the first position on: ultra-tight, scalar-ins, vdfll, vdll or scalar",
+        help="fly it from the first position on: ultra-tight, federated, scalar-ins, vdfll, vdll "
+        "or scalar",
     ),
 ]
 ImuFile = Annotated[
@@ -28,9 +29,10 @@ ImuFile = Annotated[
     typer.Option(
         "--imu",
         metavar="CSV",
-        help="of ultra-tight and scalar-ins: columns t_s [s since sample 0], gyro_x_rad_s, ..._y_, "
-        "..._z_, accel_x_mps2, ..._y_, ..._z_; or t_s, dtheta_x_rad, ..., dv_x_mps, ...; forward-"
-        "right-down, each row about the interval that ends at its t_s, no gaps",
+        help="of ultra-tight, federated and scalar-ins: columns t_s [s since sample 0], "
+        "gyro_x_rad_s, ..._y_, ..._z_, accel_x_mps2, ..._y_, ..._z_; or t_s, dtheta_x_rad, ..., "
+        "dv_x_mps, ...; forward-right-down, each row about the interval that ends at its t_s, "
+        "no gaps",
     ),
 ]
 Grade = Annotated[

@@ -4,41 +4,27 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 
-from signals.clock import Oscillator
 from signals.constants import C_MPS
 from ultratight.data_sheets import imu_errors, oscillator, process_noise
-from ultratight.ins.error_state import ProcessNoise
-from ultratight.predicted_motion import (
-    Motion,
-    Sight,
-    aided,
-    largest_slope,
-    largest_step,
-    residual_accel,
-    stress,
-    unaided,
+from ultratight.predicted_loops import (
+    LOOP_RESPONSE_S,
+    LOSS,
+    LOWEST_DBHZ,
+    Closure,
+    Errors,
+    Facts,
+    channel_loops,
 )
-from ultratight.scenario import Unsupported
+from ultratight.predicted_motion import Motion, aided, residual_accel, unaided
 from ultratight.tracking import loop_theory as theory
 from ultratight.tracking import noisy_phase as noisy
-from ultratight.tracking.channel_state import (
-    BIT_S,
-    CN0_LOST_BELOW_DBHZ,
-    FREQUENCY_LOST_BELOW,
-    HALF_BIT_S,
-    LOCK_GAIN,
-    PHASE_LOST_BELOW,
-    WAVELENGTH_M,
-)
-from ultratight.tracking.kalman_loop import densities
+from ultratight.tracking.channel_state import BIT_S, HALF_BIT_S, WAVELENGTH_M
 from ultratight.tracking.lock import LOST_BELOW, SMOOTHING_S
-from ultratight.tracking.loop_filters import frequency_loop, phase_loop
-from ultratight.tracking.scalar import EPOCH_S
+from ultratight.tracking.pre_filter import AMPLITUDE2_FLOOR, ARCTANGENT_ABOVE, POWER_S
 from ultratight.tracking.steady_filters import (
     BIAS,
     DRIFT,
@@ -46,8 +32,9 @@ from ultratight.tracking.steady_filters import (
     Steady,
     V,
     averaged_code,
-    kalman_loop_filter,
+    federated_filter,
     peak_response,
+    phase_filter,
     sigma,
     tight_filter,
     vector_filter,
@@ -56,56 +43,12 @@ from ultratight.tracking.vector import LOST_BELOW_DBHZ
 from ultratight.tracking.vector_solution import VectorSettings
 from ultratight.world import World
 
-LOSS = 0.1
-"""The threshold: that share of the channels is lost in a run"""
-LATE_S = 0.5 * EPOCH_S
-RESPONSE_S, LOOP_RESPONSE_S = 4.0, 1.0
-"""So long the largest error after a step is looked for: of a solution, of a channel's filter"""
-LOWEST_DBHZ = -20.0
-
-
-class Errors(NamedTuple):
-    """What a closure makes of its channels, (n,) each, at a C/N0 for each of them."""
-
-    phase_cycles: np.ndarray | None
-    doppler_hz: np.ndarray
-    code_chips: np.ndarray
-    three_sigma: np.ndarray  # of the quantity that is limited
-    stress: np.ndarray  # in the same unit
-
-
-class Closure(NamedTuple):
-    """How channels are lost: by what is limited, or by an indicator that says so."""
-
-    errors: Callable[[np.ndarray], Errors]
-    limit: np.ndarray  # (n,) cycles or Hz
-    unit: str  # of stresses as they are shown: deg or Hz
-    display: float  # deg per cycle, or 1
-    indicator_dbhz: np.ndarray  # (n,) below, the indicator declares a loss
-
-
-class Facts(NamedTuple):
-    """What all closures look at."""
-
-    world: World
-    m: Motion
-    flanks: list[theory.Flank]
-    clock: Oscillator
-    noise: ProcessNoise
-
-    @property
-    def n(self) -> int:
-        """Channels."""
-        return len(self.flanks)
-
-    @property
-    def duration_s(self) -> float:
-        """Of the run."""
-        return self.world.scenario.duration_s
+RESPONSE_S = 4.0
+"""So long the largest error after a step is looked for"""
 
 
 def closure_of(world: World, m: Motion) -> Closure:
-    """The scenario's; `Unsupported` where there is no closed form of it."""
+    """The scenario's."""
     s = world.scenario
     errors = imu_errors(s, 1)
     spacing = s.correlator.spacing_chips
@@ -117,130 +60,13 @@ def closure_of(world: World, m: Motion) -> Closure:
     )  # fmt: skip
     kind = s.receiver.closure
     if kind == "scalar":
-        return _channel_loops(of, unaided(m))
+        return channel_loops(of, unaided(m))
     if kind == "scalar-ins":
         tilt = 1e-3 * max(s.receiver.knows.tilt_sigma_mrad, s.receiver.knows.heading_sigma_mrad)
-        return _channel_loops(of, aided(m, errors, s.receiver.aiding_latency_s, tilt))
+        return channel_loops(of, aided(m, errors, s.receiver.aiding_latency_s, tilt))
     if kind in ("vdll", "vdfll"):
         return _vector(of)
-    if kind == "ultra-tight":
-        return _ultra_tight(of)
-    raise Unsupported(
-        f"receiver.closure: {kind!r} given, expected one that has a closed form: scalar, "
-        "scalar-ins, vdll, vdfll, ultra-tight"
-    )
-
-
-def _looped(of: Callable[[float], float], cn0: np.ndarray) -> np.ndarray:
-    return np.array([of(max(x, LOWEST_DBHZ)) for x in cn0.tolist()])
-
-
-# -- loops of channels ---------------------------------------------------------------------------
-
-
-def _channel_loops(of: Facts, felt: Sight) -> Closure:
-    """Scalar, with INS aiding or without."""
-    r = of.world.scenario.receiver
-    if r.carrier_loop == "fll":
-        return _frequency_loops(of, felt)
-    costas = r.carrier_discriminator != "atan2"
-    if r.loop == "kalman":
-        errors = _kalman_loops(of, felt, costas)
-    else:
-        w, _ = phase_loop(r.pll_order, r.bandwidth_hz, r.integration_s, LATE_S)
-        other = theory.oscillator_jitter_cycles(of.clock, r.pll_order, w, r.integration_s)
-        moved = stress(r.pll_order, w, of.m, felt) / WAVELENGTH_M
-        # Hz of Doppler for a cycle of thermal jitter
-        slope = theory.doppler_jitter_hz(r.pll_order, w, r.integration_s, r.bandwidth_hz, 1.0)
-
-        def errors(cn0: np.ndarray) -> Errors:
-            thermal = _looped(
-                lambda x: theory.pll_jitter_cycles(r.bandwidth_hz, r.integration_s, x, costas), cn0
-            )
-            phase = np.hypot(thermal, other)
-            return Errors(phase, slope * thermal, _code_loops(of, cn0), 3.0 * phase, moved)
-
-    limit = theory.COSTAS_LIMIT_CYCLES if costas else theory.PILOT_LIMIT_CYCLES
-
-    def jitter(x: float) -> float:
-        found = errors(np.full(of.n, x)).phase_cycles
-        return 0.0 if found is None else float(found[0])
-
-    floor = _scalar_indicator(of, lambda x: noisy.phase_indicator(x, BIT_S, jitter(x)),
-                              PHASE_LOST_BELOW)  # fmt: skip
-    return Closure(errors, np.full(of.n, limit), "deg", 360.0, floor)
-
-
-def _code_loops(of: Facts, cn0: np.ndarray) -> np.ndarray:
-    r = of.world.scenario.receiver
-    return np.array([
-        theory.dll_jitter_chips(
-            r.code_discriminator, flank, r.dll_bandwidth_hz, r.integration_s, max(x, LOWEST_DBHZ)
-        )
-        for flank, x in zip(of.flanks, cn0.tolist(), strict=True)
-    ])  # fmt: skip
-
-
-def _scalar_indicator(
-    of: Facts, value: Callable[[float], noisy.Indicator], lost_below: float
-) -> np.ndarray:
-    looks = of.duration_s * LOCK_GAIN / BIT_S
-    floor = noisy.indicator_threshold_dbhz(value, lost_below, LOCK_GAIN, looks, LOSS)
-    return np.full(of.n, max(floor, CN0_LOST_BELOW_DBHZ))
-
-
-def _frequency_loops(of: Facts, felt: Sight) -> Closure:
-    r = of.world.scenario.receiver
-    order = r.pll_order - 1 if r.fll_order is None else r.fll_order
-    w, _ = frequency_loop(order, r.fll_bandwidth_hz, BIT_S, LATE_S)
-    moved = stress(order, w, of.m, felt, frequency=True) / WAVELENGTH_M
-
-    def errors(cn0: np.ndarray) -> Errors:
-        hz = _looped(
-            lambda x: theory.fll_jitter_hz(r.fll_bandwidth_hz, HALF_BIT_S, x, own=True), cn0
-        )
-        return Errors(None, hz, _code_loops(of, cn0), 3.0 * hz, moved)
-
-    floor = _scalar_indicator(of, lambda x: noisy.frequency_indicator(x, HALF_BIT_S),
-                              FREQUENCY_LOST_BELOW)  # fmt: skip
-    limit = theory.FLL_LIMIT / HALF_BIT_S
-    return Closure(errors, np.full(of.n, limit), "Hz", 1.0, floor)
-
-
-def _kalman_loops(of: Facts, felt: Sight, costas: bool) -> Callable[[np.ndarray], Errors]:
-    r = of.world.scenario.receiver
-    T = r.integration_s
-    q = densities(
-        r.jerk_mps3_sqrt_hz, r.divergence_m_sqrt_s, of.noise.clock_sf, of.noise.clock_sg,
-        WAVELENGTH_M,
-    )  # fmt: skip
-    unit, none = np.eye(4), np.zeros(4)
-    ramp = np.array([0.0, T**3 / 6.0, T**2 / 2.0, T])
-    step, jerk = largest_step(of.m, felt.accel), largest_slope(of.m, felt.accel)
-
-    @cache
-    def filter_at(x: float) -> tuple[np.ndarray, float, float]:
-        """Sigmas after an update, and phase errors for a unit step and a unit slope."""
-        a2 = 2.0 * T * theory.ratio_hz(x)
-        variance = (1.0 + (1.0 / a2 if costas else 0.0)) / (a2 * (2.0 * math.pi) ** 2)
-        code = theory.code_variance("dot-product", of.flanks[0], T, x)
-        found = kalman_loop_filter(q, T, code, variance)
-        n = round(LOOP_RESPONSE_S / T)
-        answers = (
-            peak_response(found, unit[1:2], unit[3], none, 0, n)[0],
-            peak_response(found, unit[1:2], none, ramp, n, n)[0],
-        )
-        return sigma(found.after, unit), float(answers[0]), float(answers[1])
-
-    def errors(cn0: np.ndarray) -> Errors:
-        # the codes' own side lobes make no difference here
-        found = [filter_at(x) for x in np.maximum(cn0, LOWEST_DBHZ).tolist()]
-        code, phase, hz, _ = np.array([each for each, _, _ in found]).T
-        to_step, to_slope = np.array([(a, b) for _, a, b in found]).T
-        moved = np.maximum(to_step * step, to_slope * jerk) / WAVELENGTH_M
-        return Errors(phase, hz, code, 3.0 * phase, moved)
-
-    return errors
+    return _ultra_tight(of) if kind == "ultra-tight" else _federated(of)
 
 
 # -- solutions that channels share ---------------------------------------------------------------
@@ -293,7 +119,7 @@ def _vector(of: Facts) -> Closure:
     else:
         a = of.m.accel_e[np.linalg.norm(of.m.accel_e, axis=-1).argmax()]
         push[0:3], push[3:6] = a * T**2 / 2.0, a * T
-    own = None if settings.carrier else _channel_loops(of, unaided(of.m))
+    own = None if settings.carrier else channel_loops(of, unaided(of.m))
 
     def errors(cn0: np.ndarray) -> Errors:
         level = np.maximum(cn0, LOWEST_DBHZ).tolist()
@@ -346,8 +172,6 @@ def _ultra_tight(of: Facts) -> Closure:
     kick[V : V + 3], kick[BIAS : BIAS + 3] = imu.lag_s * event.force, event.step
     kick[DRIFT] = event.clock
     push[V : V + 3], push[BIAS : BIAS + 3] = event.slope * T**2 / 2.0, event.slope * T
-    k = s.receiver.knows
-    first = np.array([k.position_sigma_m] * 3 + [k.clock_sigma_m])
 
     def errors(cn0: np.ndarray) -> Errors:
         level = np.maximum(cn0, LOWEST_DBHZ)
@@ -357,23 +181,121 @@ def _ultra_tight(of: Facts) -> Closure:
         rate2 = rate2 + 2.0 * of.noise.clock_sf / (3.0 * half)
         phase2 = 0.5 / a2 * (wavelength / (2.0 * math.pi)) ** 2
         found = tight_filter(of.noise, event.felt, u, T, phase2 if coherent else None, rate2)
-        chips2 = np.array([
-            theory.code_variance("dot-product", f, h, x) / 2.0
-            for f, h, x in zip(of.flanks, half, level.tolist(), strict=True)
-        ])  # fmt: skip
-        chip_m = C_MPS / world.channels.chip_rate_hz
-        code = averaged_code(first, u, chips2 * chip_m**2, of.duration_s / T) / chip_m
         hz = sigma(found.after, rates) / wavelength
         before = sigma(found.prior, limited) / wavelength
         moved = _answer(found, limited, kick, push, T) / wavelength
         phase = sigma(found.after, limited) / wavelength if coherent else None
-        return Errors(phase, hz, code, 3.0 * before, moved)
+        return Errors(phase, hz, _averaged_code(of, u, level), 3.0 * before, moved)
 
     limit = np.full(n, theory.PILOT_LIMIT_CYCLES) if coherent else theory.FLL_LIMIT / half
     return Closure(
         errors, limit, "deg" if coherent else "Hz", 360.0 if coherent else 1.0,
         np.array([_monitor(coherent, h, s.receiver.epoch_s, of.duration_s) for h in half]),
     )  # fmt: skip
+
+
+def _averaged_code(of: Facts, u: np.ndarray, level: np.ndarray) -> np.ndarray:
+    """Chips (n,) that the codes of all data bits of the run leave of the first uncertainty."""
+    c, k = of.world.channels, of.world.scenario.receiver.knows
+    first = np.array([k.position_sigma_m] * 3 + [k.clock_sigma_m])
+    chips2 = np.array([
+        theory.code_variance("dot-product", f, h, x) / 2.0
+        for f, h, x in zip(of.flanks, c.half_s, level.tolist(), strict=True)
+    ])  # fmt: skip
+    chip_m = C_MPS / c.chip_rate_hz
+    bits = of.duration_s / float(2.0 * c.half_s.min())
+    return averaged_code(first, u, chips2 * chip_m**2, bits) / chip_m
+
+
+def _federated(of: Facts) -> Closure:
+    """Pre-filters follow the phases, the central filter is given rates."""
+    c = of.world.channels
+    known = c.pilot | (of.world.scenario.receiver.measurement == "coherent")
+    found = _pre_filtered(of, known)
+    kinds = list(zip(c.half_s.tolist(), known.tolist(), strict=True))
+    floors = {kind: _prompts_monitor(of, found, *kind, kinds.index(kind)) for kind in set(kinds)}
+    limit = np.where(known, theory.PILOT_LIMIT_CYCLES, theory.COSTAS_LIMIT_CYCLES)
+    return Closure(found, limit, "deg", 360.0, np.array([floors[kind] for kind in kinds]))
+
+
+def _half_amplitude2(half_s: np.ndarray, cn0: np.ndarray) -> np.ndarray:
+    """A^2 (n,) of half bits, as pre-filters have it."""
+    return np.maximum(2.0 * half_s * 10.0 ** (0.1 * cn0), AMPLITUDE2_FLOOR)
+
+
+def _pre_filtered(of: Facts, known: np.ndarray) -> Callable[[np.ndarray], Errors]:
+    """All pre-filters are as restless as that of the channel of which the INS knows least."""
+    s, c = of.world.scenario, of.world.channels
+    T, half = s.receiver.federated.update_s, c.half_s
+    imu = imu_errors(s, 1)
+    event = _event(of.m, residual_accel(of.m, imu))
+    u, radian_m = event.u, c.wavelength_m / (2.0 * math.pi)
+    rates, accels = np.zeros((2, of.n, PHASE + 1))
+    rates[:, V : V + 3], rates[:, DRIFT], accels[:, BIAS : BIAS + 3] = -u, 1.0, -u
+    step, kick = np.abs(u @ event.step), np.abs(imu.lag_s * u @ event.force) + abs(event.clock)
+
+    def errors(cn0: np.ndarray) -> Errors:
+        level = np.maximum(cn0, LOWEST_DBHZ)
+        a2 = _half_amplitude2(half, level)
+        share = np.where(known, 1.0, [math.erf(math.sqrt(x)) for x in a2])
+        variance = np.where(a2 >= ARCTANGENT_ABOVE, 1.0 + 1.0 / a2, 1.0 / share**2) / a2
+        variance *= radian_m**2
+        central = federated_filter(of.noise, event.felt, u, T, half, variance)
+        own = of.noise.velocity + T * float(sigma(central.after, accels).max()) ** 2
+        unrest = of.noise.clock_sg + own
+        kinds = list(zip(half.tolist(), variance.tolist(), strict=True))
+        followed = {(h, r): _followed(of.noise.clock_sf, unrest, h, r) for h, r in set(kinds)}
+        rows = np.array([followed[kind] for kind in kinds]) / c.wavelength_m[:, None]
+        after, ahead, to_accel, to_rate = rows.T
+        hz = sigma(central.after, rates) / c.wavelength_m
+        moved = np.maximum(to_accel * step, to_rate * kick)
+        return Errors(after, hz, _averaged_code(of, u, level), 3.0 * ahead, moved)
+
+    return errors
+
+
+def _followed(clock_sf: float, unrest: float, half_s: float, variance: float) -> tuple[float, ...]:
+    """A phase in a pre-filter [m]: two sigmas, and largest errors for two kinds of motion.
+
+    Sigma after half a bit, and in the middle of the bit ahead, where its sign is decided; 1 m/s2
+    that goes on, which the central filter learns later, and a step of 1 m/s.
+    """
+    of = phase_filter(clock_sf, unrest, half_s, variance)
+    row, ahead = np.array([[1.0, 0.0]]), np.array([[1.0, 1.5 * half_s]])
+    n, none = round(LOOP_RESPONSE_S / half_s), np.zeros(2)
+    push, kick = np.array([half_s**2 / 2.0, half_s]), np.array([0.0, 1.0])
+    return (
+        float(sigma(of.after, row)[0]), float(sigma(of.after, ahead)[0]),
+        float(peak_response(of, row, none, push, n, n)[0]),
+        float(peak_response(of, row, kick, none, 0, n)[0]),
+    )  # fmt: skip
+
+
+def _prompts_monitor(
+    of: Facts, errors: Callable[[np.ndarray], Errors], half_s: float, known: bool, i: int
+) -> float:
+    """C/N0 at which noise makes the federated form declare channel i lost [dB-Hz].
+
+    Noise in the prompts, in the phase that turns them, and in the power that scales them.
+    """
+    T = of.world.scenario.receiver.federated.update_s
+    bits, gain, each = T / (2.0 * half_s), T / SMOOTHING_S, 2.0 * half_s / POWER_S
+    # what the indicator leaves of a value's variance, and of one that lasts for POWER_S
+    short, long = gain / (2.0 - gain), POWER_S / (POWER_S + SMOOTHING_S)
+
+    def value(cn0: float) -> noisy.Indicator:
+        a2 = float(_half_amplitude2(np.array(half_s), np.array(cn0)))
+        spread = (2.0 * math.pi * errors(np.full(of.n, cn0)).three_sigma[i] / 3.0) ** 2
+        power = each / (2.0 - each) * (2.0 / a2 + 2.0 / a2**2) * long / short
+        if known:
+            mean, variance = math.exp(-0.5 * spread), 0.5 / a2 / bits + 0.25 * power
+        else:
+            mean, variance = math.exp(-2.0 * spread), (2.0 / a2 + 1.0 / a2**2) / bits + power
+        return noisy.Indicator(mean, math.sqrt(variance))
+
+    looks = of.duration_s / SMOOTHING_S
+    floor = noisy.indicator_threshold_dbhz(value, LOST_BELOW, gain, looks, LOSS)
+    return max(floor, LOST_BELOW_DBHZ)
 
 
 def _monitor(coherent: bool, half_s: float, epoch_s: float, duration_s: float) -> float:

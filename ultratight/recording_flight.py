@@ -8,7 +8,8 @@ it on the samples and the IMU's data to their end.  Nobody is told the truth.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,7 +20,7 @@ from signals.constants import OMEGA_EARTH, WEEK_S
 from signals.correlator import SampleCorrelator
 from signals.recording import Recording
 from ultratight.config import InvalidInput
-from ultratight.consistency import ROW_S
+from ultratight.consistency import ROW_S, TIGHT
 from ultratight.data_sheets import imu_errors, process_noise
 from ultratight.ins.alignment import Alignment, align
 from ultratight.ins.attitude import euler_from_rotation, rotation_from_euler
@@ -30,18 +31,24 @@ from ultratight.provenance import provenance
 from ultratight.results import Event, Run
 from ultratight.scenario import Scenario
 from ultratight.simulation import Closure, fly, new_closure
+from ultratight.tables import Federated
 from ultratight.tracking.channel_state import LOCKED
 from ultratight.tracking.knows import Knows
 from ultratight.tracking.lock import LOST_BELOW
 from ultratight.tracking.navigation import Navigation, Position
 from ultratight.tracking.take_over import Inertial, Later, estimates, knows_at
 
-INERTIAL = ("ultra-tight", "scalar-ins")
+INERTIAL = (*TIGHT, "scalar-ins")
 CLOSURES = (*INERTIAL, "vdfll", "vdll", "scalar")
 WINDOW_S = 2.0
 """So long the position filter runs before a closure takes over, and velocities level the INS"""
 LARGEST_SIGMA = math.radians(10.0)
 """Of the attitude, with which a closure is begun: its filter is linear in it"""
+_EPOCHS = {
+    "ultra-tight": ("receiver.epoch_s", ROW_S),
+    "federated": ("receiver.federated.update_s", Federated().update_s),
+}
+"""Closures that close with the INS: key and usual length of an epoch"""
 _KEYS = ("receiver.", "imu.", "clock.model", "correlator.spacing_chips")
 _NOT = ("receiver.knows.", "imu.rate_hz", "receiver.closure")
 
@@ -95,14 +102,15 @@ def plan(
     """
     if closure not in CLOSURES:
         raise InvalidInput(f"--closure: {closure} given, expected one of {', '.join(CLOSURES)}")
-    if filter_name is not None and closure != "ultra-tight":
+    if filter_name is not None and closure not in TIGHT:
         raise InvalidInput(f"--filter: {filter_name} given, expected none with {closure}")
     _check_keys(changes)
     needed = closure in INERTIAL
     if needed != (imu is not None):
         said = "nothing given, expected the IMU's data" if needed else f"{imu} given, expected none"
         raise InvalidInput(f"--imu: {said} with {closure}")
-    given = [change.partition("=")[0].strip() for change in changes]
+    pairs = [change.partition("=") for change in changes]
+    given = {key.strip(): value for key, _, value in pairs}
     if needed and grade is None and "imu.grade" not in given:
         raise InvalidInput(
             "--imu-grade: nothing given, expected the data sheet of the IMU: a grade of "
@@ -119,7 +127,7 @@ def plan(
             f"--take-over: {take_over_s:g} given, expected 0 to {end_s:g} s, the end of the samples"
         )
     _check_attitude(attitude)
-    tree = _receiver(closure, filter_name, grade, table, "receiver.epoch_s" in given)
+    tree = _receiver(closure, filter_name, grade, table, given)
     scenario = Scenario.from_dict(tree).replace(changes)
     return Plan(scenario, table, attitude, take_over_s)
 
@@ -151,9 +159,16 @@ def _check_attitude(attitude: Attitude | None) -> None:
 
 
 def _receiver(
-    closure: str, filter_name: str | None, grade: str | None, imu: Increments | None, epoch: bool
+    closure: str,
+    filter_name: str | None,
+    grade: str | None,
+    imu: Increments | None,
+    given: Mapping[str, str],
 ) -> dict[str, Any]:
-    """The part of a scenario that a receiver is; nobody knows the data bits of a recording."""
+    """The part of a scenario that a receiver is; nobody knows the data bits of a recording.
+
+    ``given`` will be laid over it; a second or so that it can last is filled in.
+    """
     receiver: dict[str, Any] = {
         "closure": closure,
         "measurement": "differential",
@@ -163,18 +178,26 @@ def _receiver(
     sensors: dict[str, Any] = {} if grade is None else {"grade": grade}
     if filter_name is not None:
         receiver["filter"] = filter_name
+    step = ROW_S
     if imu is not None:
         dt = _interval(imu)
         sensors["rate_hz"] = 1.0 / dt
-        if closure == "ultra-tight" and not epoch:
-            # whole IMU intervals, nearest to a data bit
-            receiver["epoch_s"] = max(1, round(ROW_S / dt)) * dt
-    tree = {"name": "recording", "duration_s": 1.0, "receiver": receiver, "imu": sensors}
-    return tree | {"duration_s": _step(closure, receiver) * 50}
+        if closure in _EPOCHS:
+            key, usual = _EPOCHS[closure]
+            with suppress(KeyError, ValueError):  # what is no number is refused with its key
+                usual = float(given[key])
+            step = max(1, round(usual / dt)) * dt  # whole IMU intervals
+            receiver |= (
+                {"federated": {"update_s": step}} if closure == "federated" else {"epoch_s": step}
+            )
+    return {"name": "recording", "duration_s": 50.0 * step, "receiver": receiver, "imu": sensors}
 
 
-def _step(closure: str, receiver: dict[str, Any]) -> float:
-    return float(receiver.get("epoch_s", ROW_S)) if closure == "ultra-tight" else ROW_S
+def _epoch_s(s: Scenario) -> float:
+    r = s.receiver
+    if r.closure == "federated":
+        return r.federated.update_s
+    return r.epoch_s if r.closure == "ultra-tight" else ROW_S
 
 
 def _interval(imu: Increments) -> float:
@@ -238,7 +261,7 @@ def _summary(
     scenario: Scenario, closure: Closure, names: list[str], t0_s: float, t_s: np.ndarray
 ) -> dict[str, Any]:
     r = scenario.receiver
-    tight = r.closure == "ultra-tight"
+    tight = r.closure in TIGHT
     lost = [round(t0_s + t, 6) if math.isfinite(t) else None for t in closure.first_lost_s.tolist()]
     return {
         "closure": r.closure,
@@ -297,7 +320,7 @@ def _with_start(of: Plan, week: int, position: Position, left_s: float) -> Scena
     """The plan's scenario with start and length of this flight."""
     s, estimate = of.scenario, position.estimate
     assert estimate is not None
-    step = s.receiver.epoch_s if s.receiver.closure == "ultra-tight" else ROW_S
+    step = _epoch_s(s)
     n = math.floor(left_s / step + 1e-9)
     if n * step < 1.0:
         raise ValueError(

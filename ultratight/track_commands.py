@@ -107,9 +107,9 @@ def track(
     prompts, and beside them NAME-position with C/N0, Doppler and positions.
 
     With --closure that closure takes over from the first position on and flies to the end, by the
-    samples and, for ultra-tight and scalar-ins, an IMU's data; --set changes its receiver. It
-    measures differentially: nobody knows the data bits of a recording beforehand. --out and --plot
-    then write NAME.CLOSURE and NAME-CLOSURE too.
+    samples and, for ultra-tight, federated and scalar-ins, an IMU's data; --set changes its
+    receiver. It measures differentially: nobody knows the data bits of a recording beforehand.
+    --out and --plot then write NAME.CLOSURE and NAME-CLOSURE too.
     """
     from signals.codes import GPS_L1CA
     from signals.sigmf_files import open_recording

@@ -129,24 +129,71 @@ def tight_filter(
     random walk.  phase_var (n,) [m2] of the coherent measurement, None for the differential one,
     of which rate_var (n,) [m2/s2] is the noise.
     """
-    n, T = len(u), epoch_s
-    phases = 0 if phase_var is None else n
-    F, G = np.zeros((PHASE + phases,) * 2), np.zeros((PHASE + phases,) * 2)
+    phi, q = _tight_model(noise, force, u, epoch_s, phase_var is not None)
+    if phase_var is not None:
+        return steady(phi, q, np.eye(len(phi))[PHASE:], phase_var)
+    return steady(phi, q, _rates(u, len(phi)), rate_var)
+
+
+def _tight_model(
+    noise: ProcessNoise, force: float, u: np.ndarray, T: float, coherent: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Phi and Q of that error state over T seconds."""
+    n = PHASE + (len(u) if coherent else 0)
+    F, G = np.zeros((n, n)), np.zeros((n, n))
     F[V : V + 3, BIAS : BIAS + 3] = np.eye(3)
     G[V : V + 3, V : V + 3] = noise.velocity * np.eye(3)
     walk = noise.accel_bias + force**2 * noise.attitude
     G[BIAS : BIAS + 3, BIAS : BIAS + 3] = walk * np.eye(3)
     G[DRIFT, DRIFT] = noise.clock_sg
-    if phases:
+    if coherent:
         F[PHASE:, V : V + 3], F[PHASE:, DRIFT] = -u, 1.0
         G[PHASE:, PHASE:] = noise.clock_sf
     phi = np.eye(len(F)) + T * F + 0.5 * T * T * F @ F
-    q = 0.5 * T * (phi @ G @ phi.T + G)
-    if phase_var is not None:
-        return steady(phi, q, np.eye(len(F))[PHASE:], phase_var)
-    rows = np.zeros((n, len(F)))
+    return phi, 0.5 * T * (phi @ G @ phi.T + G)
+
+
+def _rates(u: np.ndarray, n_state: int) -> np.ndarray:
+    """Rows (n, n_state) of the range rates."""
+    rows = np.zeros((len(u), n_state))
     rows[:, V : V + 3], rows[:, DRIFT] = -u, 1.0
-    return steady(phi, q, rows, rate_var)
+    return rows
+
+
+def federated_filter(
+    noise: ProcessNoise, force: float, u: np.ndarray, update_s: float, half_s: np.ndarray,
+    phase_var: np.ndarray,
+) -> Steady:  # fmt: skip
+    """Of the federated form: `tight_filter`'s differential states, and the clock's step behind.
+
+    Each channel hands over the slope of a line through the phases of its halves (half_s, phase_var
+    (n,), [s], [m2]): sigma^2 = R / sum (t - mean)^2, of the rate in the middle of the interval.
+    What the clock's white noise makes of it is common (`pre_filter_hand_over`).
+    """
+    T = update_s
+    model = _tight_model(noise, force, u, T, False)
+    phi, q = (np.pad(x, (0, 1)) for x in model)
+    n = np.maximum(np.floor(T / half_s + 1e-9), 2.0)
+    rows = np.hstack([_rates(u, PHASE), np.ones((len(u), 1))])
+    rows[:, BIAS : BIAS + 3] = 0.5 * T * u
+    # of the step, by ten integrations of the epoch as the filter has it
+    ago = (np.arange(10) + 0.5) * T / 10
+    w = (ago.mean() - ago) / np.sum((ago - ago.mean()) ** 2)
+    a, b = np.meshgrid(ago, ago)
+    m = np.minimum(a, b)
+    walk = m * (a * b - 0.5 * m * (a + b) + m * m / 3.0)
+    q[-1, -1] = w @ (noise.clock_sf * m + noise.clock_sg * walk) @ w
+    q[-1, DRIFT] = q[DRIFT, -1] = w @ (noise.clock_sg * ago**2 / 2.0)
+    return steady(phi, q, rows, phase_var * 12.0 / (half_s**2 * n * (n**2 - 1.0)))
+
+
+def phase_filter(clock_sf: float, unrest: float, half_s: float, phase_var: float) -> Steady:
+    """Of a channel's phase and Doppler [m, m/s] in a pre-filter, each half bit (`pre_filter`)."""
+    h = half_s
+    phi = np.array([[1.0, h], [0.0, 1.0]])
+    q = unrest * np.array([[h**3 / 3.0, h * h / 2.0], [h * h / 2.0, h]])
+    q[0, 0] += clock_sf * h
+    return steady(phi, q, np.array([[1.0, 0.0]]), np.array([phase_var]))
 
 
 def averaged_code(
