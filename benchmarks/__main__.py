@@ -19,7 +19,9 @@ from rich.table import Table
 from benchmarks.harness import ROUNDS, Row, measure
 from benchmarks.peers import MACHINE, PLAIN_GSPS, YARDSTICK
 
-GROUPS = ("correlator", "generator", "acquisition", "receiver", "loop", "sweep", "startup")
+GROUPS = (
+    "correlator", "generator", "acquisition", "receiver", "loop", "closures", "sweep", "startup",
+)  # fmt: skip
 PATHS = ("avx512", "avx2", "portable")
 ON_EVERY_PATH = ("correlator", "generator")
 
