@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from common.campaign import Campaign, Study, carry_out
-from common.jpl import ALONE, LINE, LOSS, band, lost, thinned, world
+from common.jpl import ALONE, LINE, band, lost, thinned, world
 from common.ledger import Claim, Must, Quantity
 from common.statistics import interval
+from common.thresholds import LOSS
 from matplotlib.figure import Figure
 
 from ultratight.plots import COLOURS, STYLES

@@ -19,11 +19,11 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from common.campaign import Campaign, Study, carry_out
-from common.jpl import ALONE, LINE, LOSS, band, lost, thinned, world
+from common.jpl import ALONE, LINE, band, lost, thinned, world
 from common.ledger import Claim, Must, Quantity
-from common.statistics import interval, number
+from common.statistics import number
+from common.thresholds import LOSS, gap, threshold
 from matplotlib.figure import Figure
-from snr_sweep import crossing
 
 from ultratight.plots import COLOURS, STYLES
 
@@ -161,35 +161,6 @@ def search(study: Study, name: str) -> str:
                                                                   strict=True))  # fmt: skip
     study.say(f"search {name}: share lost {told}")
     return str(share["setting"].values[int(np.argmin(share.values))])
-
-
-def threshold(name: str, share: xr.DataArray) -> Quantity:
-    """Where the mean over the runs crosses 10 %; the bootstrap draws runs.
-
-    No number where that is beyond the levels flown.
-    """
-    levels, loss = share["cn0_dbhz"].values, share.mean("run").values
-    if loss[-1] > LOSS or loss.max() <= LOSS:
-        side = f"above {levels[-1]:g}" if loss[-1] > LOSS else f"below {levels[0]:g}"
-        return Quantity(f"{name} threshold {side}", None, None, None, "dB-Hz")
-    return interval(
-        f"{name} threshold", share.transpose("run", "cn0_dbhz").values,
-        lambda drawn: crossing(levels, drawn.mean(axis=-2)), "dB-Hz",
-    )  # fmt: skip
-
-
-def gap(shares: dict[str, xr.DataArray], a: str, b: str, must: Must | None = None) -> Quantity:
-    """Threshold of a less that of b; runs, which share seeds, are drawn in pairs."""
-    levels = [shares[k]["cn0_dbhz"].values for k in (a, b)]
-    runs = min(shares[k].sizes["run"] for k in (a, b))
-    values = [shares[k].transpose("run", "cn0_dbhz").values[:runs] for k in (a, b)]
-    n = levels[0].size
-
-    def difference(drawn: np.ndarray) -> np.ndarray:
-        average = drawn.mean(axis=-2)
-        return crossing(levels[0], average[..., :n]) - crossing(levels[1], average[..., n:])
-
-    return interval(f"{a} − {b}", np.concatenate(values, axis=1), difference, "dB", must)
 
 
 # -- what is shown --------------------------------------------------------------------------------

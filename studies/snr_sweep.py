@@ -17,6 +17,7 @@ import xarray as xr
 from common.campaign import Campaign, Study, carry_out
 from common.ledger import Claim, Must, Quantity
 from common.statistics import interval, typical
+from common.thresholds import LOSS, crossing
 from common.worlds import MATCHED, MODELS, Change
 from matplotlib.figure import Figure
 
@@ -28,7 +29,7 @@ LEVELS = (20.0, 21.0, 22.0, 23.0, 24.0, 26.0, 28.0, 30.0, 35.0, 40.0, 50.0)
 DURATION_S, RUNS = 30.0, 12
 REST_LEVELS = (20.0, 22.5, 25.0, 27.5, 30.0, 35.0, 50.0)
 REST_S, REST_RUNS = 15.0, 6
-SETTLED_S, LOSS, FIRST_SEED = 5.0, 0.1, 501
+SETTLED_S, FIRST_SEED = 5.0, 501
 LOOPS = tuple(
     c for c in get_args(Receiver.model_fields["closure"].annotation) if c != "ultra-tight"
 )
@@ -86,20 +87,6 @@ def levelled(ds: xr.Dataset) -> xr.Dataset:
     """C/N0 as numbers, and the share of channels that lost lock."""
     ds = ds.assign_coords(cn0_dbhz=[float(x) for x in ds["cn0_dbhz"].values])
     return ds.assign(loss=ds["n_lost"] / ds["n_satellites"])
-
-
-def crossing(levels: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """C/N0 (...,) where the loss (..., n_level), made monotone, crosses `LOSS`.
-
-    An end of the levels where it does not cross.
-    """
-    falling = np.maximum.accumulate(share[..., ::-1], axis=-1)[..., ::-1]
-    k = np.clip((falling > LOSS).sum(axis=-1), 1, levels.size - 1)[..., None]
-    high, low = (np.take_along_axis(falling, i, axis=-1)[..., 0] for i in (k - 1, k))
-    x0, x1 = levels[k - 1][..., 0], levels[k][..., 0]
-    part = np.divide(high - LOSS, high - low, out=np.zeros_like(high), where=high > low)
-    inside = x0 + np.clip(part, 0.0, 1.0) * (x1 - x0)
-    return np.where(falling[..., -1] > LOSS, levels[-1], inside)
 
 
 def threshold(name: str, share: xr.DataArray) -> Quantity:

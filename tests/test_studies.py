@@ -143,9 +143,7 @@ def test_a_run_without_a_number_is_no_small_error(common) -> None:
 
 
 def test_threshold_is_where_the_loss_crosses_ten_percent(common) -> None:
-    common("statistics")
-    from snr_sweep import crossing
-
+    crossing = common("thresholds").crossing
     levels = np.array([20.0, 25.0, 30.0])
     loss = np.array([[0.9, 0.2, 0.0], [0.2, 0.0, 0.0], [0.0, 0.0, 0.0], [1.0, 1.0, 1.0]])
     assert crossing(levels, loss) == pytest.approx([27.5, 22.5, 20.0, 30.0])

@@ -84,7 +84,7 @@ class Study:
         before, jump, after, end [m/s], converged, position_end [m], nees (median of the velocity
         NEES in the jump over that of chi-square), n_lost, n_satellites, first_loss_s; error
         (.., run, t_s) [m/s] where velocity errors were kept, other series by their own names;
-        off_carrier_s (.., run, channel), failure.
+        lost_lock_s, off_carrier_s, off_signal_s, on_signal_s (.., run, channel), failure.
         """
         return (
             xr.concat([self._sweep(name) for name in names], "filter")
@@ -194,7 +194,8 @@ def short_names(swept: xr.Dataset) -> xr.Dataset:
         "first_lost_s": "first_loss_s",
         "velocity_error": "error",
     }
-    keep = ["converged", "n_lost", "n_satellites", "fall_backs", "off_carrier_s", "failure"]
+    keep = ["converged", "n_lost", "n_satellites", "fall_backs", "lost_lock_s", "off_carrier_s",
+            "off_signal_s", "on_signal_s", "failure"]  # fmt: skip
     series = [str(name) for name in swept.data_vars if "time_s" in swept[name].dims]
     renamed = {old: new for old, new in renamed.items() if old in swept}
     out = swept[list(dict.fromkeys([*keep, *series, *renamed]))].rename(renamed)

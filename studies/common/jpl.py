@@ -33,7 +33,6 @@ SHAPE = ((0.0, -25.0), (3.0, -25.0), (3.5, 25.0), (5.5, 25.0), (6.0, -25.0), (8.
 """Time [s] and acceleration along the line of sight [g], lines between"""
 AFTER_S = 0.3
 """The end lasts so much longer, that a loss at the very end is seen"""
-LOSS = 0.1
 
 
 def profile(lead_s: float) -> Profile:
