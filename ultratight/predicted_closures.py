@@ -40,7 +40,7 @@ from ultratight.tracking.steady_filters import (
     vector_filter,
 )
 from ultratight.tracking.vector import LOST_BELOW_DBHZ
-from ultratight.tracking.vector_solution import VectorSettings
+from ultratight.tracking.vector_solution import VectorSettings, faded
 from ultratight.world import World
 
 RESPONSE_S = 4.0
@@ -113,11 +113,14 @@ def _vector(of: Facts) -> Closure:
     rates[:, 3:6], rates[:, 7] = -u, 1.0
     kick, push = np.zeros(k), np.zeros(k)
     kick[7] = event.clock
+    a = of.m.accel_e[np.linalg.norm(of.m.accel_e, axis=-1).argmax()]
     if k > 8:
         kick[8:11] = event.step
-        push[0:3], push[3:6], push[8:11] = (event.slope * x for x in (T**3 / 6, T**2 / 2, T))
+        # an acceleration that lasts does not fade
+        kept = np.array([T**2 / 2.0, T, 1.0]) - faded(np.array([T]), settings.acceleration_tau_s).T
+        for i, x, lasts in zip((0, 3, 8), (T**3 / 6, T**2 / 2, T), kept[0], strict=True):
+            push[i : i + 3] = event.slope * x + a * lasts
     else:
-        a = of.m.accel_e[np.linalg.norm(of.m.accel_e, axis=-1).argmax()]
         push[0:3], push[3:6] = a * T**2 / 2.0, a * T
     own = None if settings.carrier else channel_loops(of, unaided(of.m))
 

@@ -99,6 +99,12 @@ class Vector(Table):
     """11 states: density of the white jerk, each axis"""
     acceleration_sigma_mps2: Annotated[float, Field(gt=0.0, le=1e3)] = 10.0
     """11 states: sigma of the first acceleration, which starts at zero"""
+    acceleration_tau_s: Annotated[float, Field(ge=0.1, le=1e6)] = 1.0
+    """11 states: an acceleration that nobody measures fades with this time constant"""
+    search_bits: Annotated[int, Field(ge=0, le=50)] = 2
+    """Channels that are lost search around the solution: data bits in a cell; 0: no search"""
+    search_false_alarm: Annotated[float, Field(ge=1e-12, le=0.1)] = 1e-4
+    """Probability that a cell of the search is believed to hold a signal without one"""
 
 
 class Federated(Table):

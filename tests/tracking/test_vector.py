@@ -144,6 +144,8 @@ def test_the_motion_model_is_that_of_white_noise(states: int) -> None:
     else:
         F[[3, 4, 5], [8, 9, 10]] = 1.0
         G[8:, 8:] = s.jerk_mps3_sqrt_hz**2 * np.eye(3)
+    if states == 11:
+        F[[8, 9, 10], [8, 9, 10]] = -1.0 / s.acceleration_tau_s
     big = expm(np.block([[-F, G], [np.zeros_like(F), F.T]]) * 0.04)
     phi, q = transition(s, 0.3, 0.2)
     np.testing.assert_allclose(phi, big[states:, states:].T, atol=1e-12)

@@ -3,7 +3,7 @@
 Its states are r, v (antenna, ECEF), clock bias and drift, and the acceleration where there are 11:
 
     8     acceleration is white noise of the density that was told
-    11    acceleration is a random walk, jerk is white noise
+    11    acceleration is driven by white jerk and fades when nobody measures it (Gauss-Markov)
 
 Every update (a data bit, or a few) takes range and rate of all channels (`vector_measurements`),
 each with the variance that its measured C/N0 gives, and commands the NCOs to where the solution
@@ -16,7 +16,9 @@ expects each satellite at the next one:
 weigh the same measurements; a VDLL's rates come through its carrier loops' NCOs.
 
 Membership is not lock.  A channel whose signal is too weak is left out of the sums, and stays where
-the others say that it should be; when the signal is back it counts with the first bit.  A signal
+the others say that it should be; when the signal is back it counts with the first bit.  When the
+solution itself no longer knows within the reach of the taps where that is, as after an outage of
+all, the channel searches around it (`vector_search`).  A signal
 that is there and contradicts all the others (a satellite's clock, a reflection) is left out too,
 and falls back to its own scalar loops until it agrees again or is lost.
 """
@@ -55,7 +57,13 @@ from ultratight.tracking.vector_measurements import (
     observe,
     take_in,
 )
-from ultratight.tracking.vector_solution import VectorSettings, steer_members, transition
+from ultratight.tracking.vector_search import Search, agreeing
+from ultratight.tracking.vector_solution import (
+    VectorSettings,
+    steer_members,
+    transition,
+    uncertainty,
+)
 
 LOST_BELOW_DBHZ, FOUND_ABOVE_DBHZ = 13.0, 16.0
 """Of the running C/N0, whose noise without a signal reaches 13 dB-Hz at 3 and 16 at 6 sigma"""
@@ -113,6 +121,9 @@ class Vector:
         self.dropped = np.zeros(n, dtype=np.bool_)
         self.lost_at_s, self.first_lost_s = np.full(n, np.nan), np.full(n, np.nan)
         self.faults = Faults(n, settings.update_s)
+        self.search = Search(
+            n, spacing_chips, settings.update_s, settings.search_bits, settings.search_false_alarm
+        )
         self.rule = get_rule("linearised")
         self.events: list[tuple[float, int, str, str]] = []
         self.diverged = False
@@ -139,10 +150,12 @@ class Vector:
             (taps.code_start_chips, taps.code_end_chips),
             (taps.carrier_start_cycles, taps.carrier_end_cycles), self.bits,
         )  # fmt: skip
+        self.search.take_in(taps)
         self._own_loops(taps)
         self.n_epoch += 1
         if self.n_epoch % self.every == 0:
             self._update()
+            self._search()
             self._command()
 
     def _own_loops(self, taps: Taps) -> None:
@@ -150,8 +163,10 @@ class Vector:
         channel, number, t_end_s, iq, noise_var = (
             taps.channel, taps.number, taps.t_end_s, taps.iq, taps.noise_var,
         )  # fmt: skip
-        if self.settings.carrier:
-            alone = ~self.member[channel]
+        # noise in a loop would move the replica of who searches
+        theirs = ~self.member if self.settings.carrier else ~self.search.looking
+        if not theirs.all():
+            alone = theirs[channel]
             if not alone.any():
                 return
             channel, number, t_end_s = channel[alone], number[alone], t_end_s[alone]
@@ -178,10 +193,13 @@ class Vector:
             self.knows.process_noise.clock_sf, self.code, self.bits, z, A, R, channel,
         )  # fmt: skip
         z, A, R, channel = z[:nb], A[:nb], R[:nb], channel[:nb]
-        self._watch(channel, z, A)
-        normalised = z / np.sqrt(np.einsum("cij,jk,cik->ci", A, prior.cov, A) + _diagonal(R))
-        counts = self.member & self.heard
-        told = self.faults.watch(self.t_s, channel, normalised, counts, self.heard)
+        self._watch(channel, z)
+        self._admit(channel, z, A, R, prior)
+        sigma = np.sqrt(np.einsum("cij,jk,cik->ci", A, prior.cov, A) + _diagonal(R))
+        counts = self.member & self.heard & ~self.search.held
+        told = self.faults.watch(
+            self.t_s, channel, z, sigma, A[:, 0, [0, 1, 2, 6]], counts, self.heard
+        )
         use = (counts & ~self.faults.out)[channel]
         u = update(
             prior,
@@ -205,11 +223,11 @@ class Vector:
             self.first_lost_s = np.where(np.isnan(self.first_lost_s), self.t_s, self.first_lost_s)
             self._note(-1, "diverged", "estimated velocity or clock drift beyond any receiver's")
 
-    def _watch(self, channel: np.ndarray, z: np.ndarray, A: np.ndarray) -> None:
-        """Who is heard, by the running C/N0 and with some hysteresis; z, A as they came."""
+    def _watch(self, channel: np.ndarray, z: np.ndarray) -> None:
+        """Who is heard, by the running C/N0 and with some hysteresis; z as it came."""
         a2 = self.bits.amplitude2
         lost = self.heard & (a2 < amplitude2_of(LOST_BELOW_DBHZ))
-        found = ~self.heard & (a2 > amplitude2_of(FOUND_ABOVE_DBHZ))
+        found = ~self.heard & (a2 > amplitude2_of(FOUND_ABOVE_DBHZ)) & ~self.search.looking
         cn0 = cn0_of(a2)
         for i in np.flatnonzero(lost).tolist():
             self.heard[i] = False
@@ -226,6 +244,37 @@ class Vector:
                 f", replica {z[row[0], 0]:+.1f} m, {z[row[0], 1]:+.2f} m/s off" if row.size else ""
             )
             self._note(i, "lock regained", f"C/N0 {cn0[i]:.1f} dB-Hz after {after:.2f} s{off}")
+
+    def _search(self) -> None:
+        """Let lost channels look around the solution; see `vector_search`."""
+        dark = self.member & ~self.heard
+        if not (dark | self.search.held).any():
+            return
+        spread = uncertainty(self.t_s, self.knows.start_tow_s, self.x, self.sky.arcs, self.cov)
+        began, found = self.search.step(self.t_s, dark, spread)
+        if not self.settings.carrier:
+            for i in began + found:
+                self._seed(i, self.loops.loop_hz[i])
+        self.bits.amplitude2[found] = self.bits.step[found] = 0.0  # to be heard there by itself
+
+    def _admit(
+        self, channel: np.ndarray, z: np.ndarray, A: np.ndarray, R: np.ndarray, prior: Gaussian
+    ) -> None:
+        """Those whom the search has found and who are heard join the solution, if they agree."""
+        counting = int((self.heard & self.member & ~self.search.held).sum())
+        rows = np.flatnonzero(self.search.ready(self.t_s, self.heard, counting)[channel])
+        if not rows.size:
+            return
+        keep = agreeing(z[rows], A[rows], R[rows], prior.cov)
+        for i, agrees in zip(channel[rows].tolist(), keep.tolist(), strict=True):
+            if agrees:
+                self._note(i, "re-acquired", self.search.said(i, self.t_s))
+                self.search.release(i)
+                self.faults.clear(i)
+            else:
+                self.heard[i] = False
+                self._lost(i, self.t_s)
+                self._note(i, "loss of lock", "search: what it found contradicts the solution")
 
     def _lost(self, i: int, t_s: float) -> None:
         self.lost_at_s[i] = t_s
@@ -266,9 +315,9 @@ class Vector:
         adrift = (self.loops.phase == PULL_IN) & (~self.heard | self.dropped)
         self.dropped[:] = False
         steer_members(
-            self.t_s, self.knows.start_tow_s, self.settings.update_s, self.x, self.sky.arcs,
-            self.origin, self.member, self.settings.carrier, adrift, self.loops,
-            self.vector_chips_per_s,
+            self.t_s, self.knows.start_tow_s, self.settings.update_s, self.x, self.phi @ self.x,
+            self.sky.arcs, self.origin, self.member, self.settings.carrier, adrift,
+            *self.search.off, self.loops, self.vector_chips_per_s,
         )  # fmt: skip
 
     def _now(self) -> tuple[np.ndarray, np.ndarray]:
@@ -312,6 +361,8 @@ class Vector:
             "lock_indicator": (*channel, "1", "running cosine of the turn in half a bit"),
             "member": (*channel, "1", "1 steered by the vector solution, 0 by its own loops"),
             "contributes": (*channel, "1", "1 where the channel counts in the solution"),
+            "search_chips": (*channel, "chips", "replica minus solution, of who searches"),
+            "search_hz": (*channel, "Hz", "replica minus solution, of who searches"),
             "cn0": (*channel, "dB-Hz", "estimated C/N0"),
             "prompt_i": (*channel, "standard deviations of the noise", "in-phase prompt, one bit"),
             "prompt_q": (*channel, "standard deviations of the noise", "quadrature prompt"),
@@ -328,7 +379,8 @@ class Vector:
         rows["nis"][k], rows["n_measurement"][k] = self.told
         rows["lock_indicator"][k] = self.bits.coherence
         rows["member"][k] = self.member
-        rows["contributes"][k] = self.member & self.heard & ~self.faults.out
+        rows["contributes"][k] = self.member & self.heard & ~self.faults.out & ~self.search.held
+        rows["search_chips"][k], rows["search_hz"][k] = self.search.off
         rows["cn0"][k] = self.cn0_dbhz
         rows["prompt_i"][k] = self.bits.prompt.real
         rows["prompt_q"][k] = self.bits.prompt.imag

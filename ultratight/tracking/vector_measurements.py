@@ -19,6 +19,11 @@ channels, it is taken for each one's own, as in the differential taps (`measurem
 A^2 is a low pass of Re(P2 conj P1), whose mean needs no noise floor; it is what a channel is worth.
 Two bits in a row that differ from it by more than a signal's noise allows set it anew: a satellite
 that goes behind a building does not count for another second, one that returns counts at once.
+
+A signal that goes is noticed by Page's test (Biometrika 41, 1954) on |P1 P2|, which does not depend
+on the frequency: the sum, never below zero, of log-likelihood ratios of noise alone against A^2.
+While it is in doubt nothing is measured, lest the solution should follow noise, nor in a bit of
+which half is missing.
 """
 
 from __future__ import annotations
@@ -46,6 +51,14 @@ POWER_GAIN = BIT_S / 1.0
 """A^2: low pass of 1 s"""
 STEP_SIGMAS = 3.0
 """Two bits so far from the low pass, on the same side, set it anew"""
+NOISE_MEAN, NOISE_VARIANCE = 0.5 * math.pi, 4.0 - 0.25 * math.pi**2
+"""Of |P1 P2| without a signal: a product of two Rayleigh amplitudes"""
+DOUBT, GONE = 2.0, 12.0
+"""Log-likelihood ratios at which a bit is left out, and at which the signal is gone"""
+WEAK_SIGMAS, WEAK_SHARE = 3.0, 0.5
+"""Half a bit so far below A, and below this share of it, is not whole"""
+TESTED_ABOVE = 3.0
+"""A^2 (22 dB-Hz) below which too little speaks for either; Gaussian densities are good above"""
 CN0_FLOOR_DBHZ = 10.0
 ARCTANGENT_ABOVE = 8.0
 """A^2 (26 dB-Hz) below which sin stands for the angle: noise alone would saturate the arctangent"""
@@ -76,6 +89,7 @@ class Bits(NamedTuple):
     nco_hz: np.ndarray  # (n_channel,) of the NCO's frequency, middle of half to middle of half
     amplitude2: np.ndarray  # (n_channel,) A^2, may be negative without a signal
     step: np.ndarray  # (n_channel,) what the last bit was above it
+    doubt: np.ndarray  # (n_channel,) Page's sum
     coherence: np.ndarray  # (n_channel,) low pass of cos(turn in half a bit), noise included
     prompt: np.ndarray  # (n_channel,) complex, last whole bit, unit noise per component
 
@@ -97,7 +111,8 @@ def new_bits(cn0_dbhz: np.ndarray) -> Bits:
     return Bits(
         np.full(n, -1, whole), np.full(n, -BIT_CODES, whole), real((n, 2, 3), turning),
         real((n, 2)), real((n, 2)), real((n, 2)), real(n, whole), real(n), real(n, turning),
-        real(n), real(n), real(n), amplitude2_of(cn0_dbhz), real(n), np.ones(n), real(n, turning),
+        real(n), real(n), real(n), amplitude2_of(cn0_dbhz), real(n), real(n), np.ones(n),
+        real(n, turning),
     )  # fmt: skip
 
 
@@ -157,23 +172,45 @@ def _end_bit(i: int, bits: Bits) -> None:
     """The bit of channel i is whole: add it to the update under way, renew what it is worth."""
     first, second = bits.taps[i, 0], bits.taps[i, 1]
     turn = second[1] * first[1].conjugate()
-    bits.n_bit[i] += 1
-    bits.turn[i] += turn
-    for h in range(2):
-        # with unit amplitude and slope: both are put in at the update
-        early, prompt, late = bits.taps[i, h]
-        bits.delay[i] += dot_product_delay(early, prompt, late, 1.0, 1.0)
-    bits.t_s[i] += 0.5 * (bits.mid_s[i, 0] + bits.mid_s[i, 1])
-    bits.chips[i] += 0.5 * (bits.mid_chips[i, 0] + bits.mid_chips[i, 1])
-    bits.nco_hz[i] += (bits.mid_cycles[i, 1] - bits.mid_cycles[i, 0]) / (
-        bits.mid_s[i, 1] - bits.mid_s[i, 0]
-    )
+    bits.doubt[i] = doubted(bits.doubt[i], bits.amplitude2[i], abs(turn))
+    if bits.doubt[i] > GONE:
+        bits.amplitude2[i] = bits.step[i] = bits.doubt[i] = 0.0
+    elif bits.doubt[i] < DOUBT and not _is_weak(bits.amplitude2[i], abs(first[1]), abs(second[1])):
+        bits.n_bit[i] += 1
+        bits.turn[i] += turn
+        for h in range(2):
+            # with unit amplitude and slope: both are put in at the update
+            early, prompt, late = bits.taps[i, h]
+            bits.delay[i] += dot_product_delay(early, prompt, late, 1.0, 1.0)
+        bits.t_s[i] += 0.5 * (bits.mid_s[i, 0] + bits.mid_s[i, 1])
+        bits.chips[i] += 0.5 * (bits.mid_chips[i, 0] + bits.mid_chips[i, 1])
+        bits.nco_hz[i] += (bits.mid_cycles[i, 1] - bits.mid_cycles[i, 0]) / (
+            bits.mid_s[i, 1] - bits.mid_s[i, 0]
+        )
     bits.prompt[i] = (first[1] + second[1]) / math.sqrt(2.0)
     bits.amplitude2[i], bits.step[i] = renewed(
         bits.amplitude2[i], bits.step[i], turn.real, POWER_GAIN
     )
     power = 0.5 * (abs(first[1]) ** 2 + abs(second[1]) ** 2)
     bits.coherence[i] += 2.5 * POWER_GAIN * (turn.real / max(power, 1e-30) - bits.coherence[i])
+
+
+@kernel
+def _is_weak(amplitude2: float, first: float, second: float) -> bool:
+    """Whether one of the halves lacks its signal; their amplitudes have the variance 1."""
+    a = math.sqrt(max(amplitude2, 0.0))
+    return min(first, second) < min(a - WEAK_SIGMAS, WEAK_SHARE * a)
+
+
+@kernel
+def doubted(before: float, amplitude2: float, product: float) -> float:
+    """Page's sum after a bit with product = |P1 P2|, ``before`` it, of a signal of A^2."""
+    if amplitude2 < TESTED_ABOVE:
+        return 0.0
+    off, without = product - (amplitude2 + 1.0), product - NOISE_MEAN
+    variance = 2.0 * amplitude2 + 2.0
+    ratio = 0.5 * (off * off / variance - without * without / NOISE_VARIANCE)
+    return max(0.0, before + ratio + 0.5 * math.log(variance / NOISE_VARIANCE))
 
 
 @kernel

@@ -9,7 +9,11 @@ import numpy as np
 from signals.compiled import kernel
 from signals.constants import C_MPS, CA_CHIP_RATE_HZ, GPS_L1_HZ
 from signals.propagation import predict_channels
-from ultratight.tracking.channel_loops import WAVELENGTH_M, Loops
+from ultratight.tracking.channel_state import CHIP_M, WAVELENGTH_M, Loops
+
+NODES, WEIGHTS = (0.5 * x for x in np.polynomial.legendre.leggauss(12))
+NODES = NODES + 0.5
+"""Gauss-Legendre on [0, 1]: rounding only, for updates up to 2 time constants"""
 
 
 class VectorSettings(NamedTuple):
@@ -20,7 +24,10 @@ class VectorSettings(NamedTuple):
     acceleration_mps2_sqrt_hz: float = 3.0
     jerk_mps3_sqrt_hz: float = 20.0
     acceleration_sigma_mps2: float = 10.0
+    acceleration_tau_s: float = 1.0
     update_s: float = 0.02
+    search_bits: int = 2
+    search_false_alarm: float = 1e-4
     fall_back: bool = True
 
 
@@ -29,7 +36,9 @@ def transition(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Phi and Q of an update period; the clock's densities in m2/s and m2/s3.
 
-    Q is exact: of an acceleration or a jerk that is white, and of the two-state clock.
+    Q is exact, but for the quadrature's rounding: of an acceleration that is white, or of one that
+    fades with a time constant and is driven by white jerk (first-order Gauss-Markov, as in Singer,
+    IEEE TAES 6, 1970), and of the two-state clock.
     """
     T, n = settings.update_s, settings.states
     phi, q = np.eye(n), np.zeros((n, n))
@@ -39,18 +48,35 @@ def transition(
     for i in range(3):
         phi[i, 3 + i] = T
         if n == 8:
-            own, gain = [i, 3 + i], np.array([[T**3 / 3.0, T**2 / 2.0], [T**2 / 2.0, T]])
-            density = settings.acceleration_mps2_sqrt_hz
+            own, density = [i, 3 + i], settings.acceleration_mps2_sqrt_hz
+            gain = np.array([[T**3 / 3.0, T**2 / 2.0], [T**2 / 2.0, T]])
         else:
             own, density = [i, 3 + i, 8 + i], settings.jerk_mps3_sqrt_hz
-            phi[i, 8 + i], phi[3 + i, 8 + i] = 0.5 * T**2, T
-            gain = np.array([
-                [T**5 / 20.0, T**4 / 8.0, T**3 / 6.0],
-                [T**4 / 8.0, T**3 / 3.0, T**2 / 2.0],
-                [T**3 / 6.0, T**2 / 2.0, T],
-            ])  # fmt: skip
+            s, weight = NODES * T, WEIGHTS * T
+            went = faded(s, settings.acceleration_tau_s)
+            gain = (went * weight) @ went.T
+            phi[own, 8 + i] = faded(np.array([T]), settings.acceleration_tau_s)[:, 0]
         q[np.ix_(own, own)] = density**2 * gain
     return phi, q
+
+
+def faded(s: np.ndarray, tau_s: float) -> np.ndarray:
+    """What an acceleration of 1 m/s2 has become after s (n,) seconds: r, v and itself (3, n)."""
+    left = -np.expm1(-s / tau_s)
+    return np.stack([tau_s * (s - tau_s * left), tau_s * left, 1.0 - left])
+
+
+def uncertainty(
+    t_s: float, tow_s: float, x: np.ndarray, sky: np.ndarray, cov: np.ndarray
+) -> np.ndarray:
+    """Covariance (n_channel, 2, 2) of the code phases [chips] and Dopplers [Hz] that x predicts."""
+    n = sky.shape[2]
+    rho, rate, u = np.empty(n), np.empty(n), np.empty((n, 3))
+    predict_channels(sky, tow_s + t_s, x[0:3].copy(), x[3:6].copy(), x[6], x[7], rho, rate, u)
+    rows = np.zeros((n, 2, x.size))
+    rows[:, 0, 0:3], rows[:, 0, 6] = u / CHIP_M, -1.0 / CHIP_M
+    rows[:, 1, 3:6], rows[:, 1, 7] = u / WAVELENGTH_M, -1.0 / WAVELENGTH_M
+    return rows @ cov @ np.swapaxes(rows, 1, 2)
 
 
 # ---- kernels ---------------------------------------------------------------------------------
@@ -62,16 +88,20 @@ def steer_members(
     tow_s: float,
     T: float,
     x: np.ndarray,
+    ahead: np.ndarray,
     sky: np.ndarray,
     origin_chips: float,
     member: np.ndarray,
     carrier: bool,
     adrift: np.ndarray,
+    off_chips: np.ndarray,
+    off_hz: np.ndarray,
     loops: Loops,
     chips_per_s: np.ndarray,
 ) -> None:
     """Steer members so that they are where x expects them T seconds from t_s; no phase jumps.
 
+    ahead is x at that time; off (n_channel,): so far from there are those that search.
     carrier: frequencies too; where it is False only those of the channels that are adrift.
     """
     n = member.size
@@ -79,22 +109,22 @@ def steer_members(
     u = np.empty((n, 3))
     r, v = x[0:3].copy(), x[3:6].copy()
     predict_channels(sky, tow_s + t_s, r, v, x[6], x[7], rho, rate, u)
-    for k in range(3):
-        a = x[8 + k] if x.size > 8 else 0.0
-        r[k] += T * (x[3 + k] + 0.5 * T * a)
-        v[k] += T * a
-    predict_channels(sky, tow_s + t_s + T, r, v, x[6] + T * x[7], x[7], rho1, rate1, u)
+    r1, v1 = ahead[0:3].copy(), ahead[3:6].copy()
+    predict_channels(sky, tow_s + t_s + T, r1, v1, ahead[6], ahead[7], rho1, rate1, u)
     for i in range(n):
         if not member[i]:
             continue
-        doppler, ramp = -rate[i] / WAVELENGTH_M, (rate[i] - rate1[i]) / (T * WAVELENGTH_M)
+        doppler, ramp = (
+            off_hz[i] - rate[i] / WAVELENGTH_M,
+            (rate[i] - rate1[i]) / (T * WAVELENGTH_M),
+        )
         if carrier:
             loops.feed[i, 0], loops.feed[i, 1], loops.loop_hz[i] = doppler, ramp, 0.0
         elif adrift[i]:
             loops.carrier_memory[i, 0], loops.carrier_memory[i, 1] = ramp, doppler
             loops.loop_hz[i], loops.last_good_hz[i] = doppler + 0.5 * ramp * T, doppler
         cycles = T * (loops.loop_hz[i] + loops.feed[i, 0] + 0.5 * loops.feed[i, 1] * T)
-        target = origin_chips + CA_CHIP_RATE_HZ * (t_s + T - rho1[i] / C_MPS)
+        target = origin_chips + CA_CHIP_RATE_HZ * (t_s + T - rho1[i] / C_MPS) + off_chips[i]
         chip_rate = CA_CHIP_RATE_HZ * (1.0 + cycles / T / GPS_L1_HZ)
         chips_per_s[i] = (target - loops.code_chips[i]) / T - chip_rate
         loops.loop_chips_per_s[i] = chips_per_s[i]
