@@ -125,11 +125,18 @@ def acquire(
 
 def warnings_of(recording: Recording, row: Signal, rows: Sequence[Acquisition]) -> list[str]:
     """What is odd about the samples, also to stderr."""
-    from ultratight.tracking.acquisition import is_inverted
+    from ultratight.tracking.acquisition import misfit
 
     lines = _clipped(recording)
-    if is_inverted(recording, row, rows):
+    wrong = misfit(recording, row, rows)
+    if wrong.inverted:
         lines.append(f"{recording.name}: {_INVERTED}; try --conjugate, or without it")
+    if wrong.offset_hz:
+        lines.append(
+            f"{recording.name}: the carriers stand {wrong.offset_hz / 1e3:+.1f} kHz from where the "
+            f"codes say, all alike, expected at the IF of {recording.if_hz:g} Hz; try --if-hz "
+            f"{recording.if_hz + wrong.offset_hz:.0f}"
+        )
     for line in lines:
         print(f"warning: {line}", file=sys.stderr)
     return lines

@@ -23,6 +23,7 @@ from ultratight.statistics import wilson
 from ultratight.tracking import acquisition, code_search
 from ultratight.tracking.acquisition import Search, acquire, threshold
 from ultratight.tracking.excision import HALF
+from ultratight.tracking.fine_acquisition import Fine, code_sense
 
 SKY = {3: (-3210.0, 812.25, 46.0), 11: (47.0, 100.5, 43.0), 22: (4890.0, 511.9, 40.0)}
 """PRN: Doppler [Hz], code phase at sample 0 [chips], C/N0 [dB-Hz]"""
@@ -78,6 +79,9 @@ SAMPLERS = {
     "5 MHz int16 IQ": (5e6, {"sample_format": "int16"}),
     "no whole samples per period, 1.25 MHz off": (6.1377e6, {"if_hz": 1.2501e6}),
     "2 bits": (4e6, {"sample_format": "bits2"}),
+    "4 bits": (4e6, {"sample_format": "bits4"}),
+    "1 bit": (4e6, {"sample_format": "bits1"}),
+    "1 bit, real": (6e6, {"sample_format": "bits1", "real": True, "if_hz": 1.6e6}),
 }
 
 
@@ -98,10 +102,57 @@ def test_what_is_sent_is_found_and_nothing_else(sampler: str) -> None:
             doppler, code_phase, cn0 = SKY[row.prn]
             assert row.doppler_hz == pytest.approx(doppler, abs=1.0)
             assert chips_apart(row.code_phase_chips, code_phase) == pytest.approx(0.0, abs=0.09)
-            # two bits lose 0.55 dB, clipping by neighbours included
-            lost = 0.55 if sampler == "2 bits" else 0.0
+            # theory/quantization_loss.csv, clipping by neighbours included
+            lost = {"1": 1.96, "2": 0.55}.get(sampler[0], 0.0) if "bit" in sampler else 0.0
             assert row.cn0_dbhz == pytest.approx(cn0 - lost, abs=1.0)
             assert row.sample_index == 0
+
+
+ONE_SIDE = {2: (-838.0, 10.3, 45.0), 6: (-1275.0, 200.6, 45.0), 19: (-5057.0, 700.9, 45.0)}
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "said", "sense", "offset_hz"),
+    [
+        (1.3e6, {}, 1.0, 0.0),
+        (4e6, {}, 1.0, 0.0),
+        (1.3e6, {"if_hz": 3000.0}, 1.0, -3000.0),
+        (4e6, {"if_hz": -6000.0}, 1.0, 6000.0),
+        (1.3e6, {"conjugate": True}, -1.0, 0.0),
+    ],
+)
+def test_codes_say_what_is_wrong_with_carriers(
+    rate_hz: float, said: dict[str, Any], sense: float, offset_hz: float
+) -> None:
+    """Sense and offset as the description was falsified, within 4.5 of the sigmas that are given.
+
+    At 1.3 MHz half a sample is 0.4 chips: code phases belong to whole samples.
+    """
+    sent = sampled(ONE_SIDE, rate_hz, 1.0)
+    source = Recording(sent.samples(0, sent.end_sample), rate_hz, **({"if_hz": 0.0} | said))
+    rows = [row for row in acquire(source, search=Search(doppler_hz=12e3)) if row.found]
+    assert [row.prn for row in rows] == list(ONE_SIDE)
+    at = Fine(*(np.array([getattr(row, name) for row in rows]) for name in Fine._fields))
+    found = code_sense(source, GPS_L1CA, list(ONE_SIDE), at, 0, source.end_sample)
+    assert found.sense_sigma < 0.03
+    assert found.sense == pytest.approx(sense, abs=4.5 * found.sense_sigma)
+    wrong = acquisition.misfit(source, GPS_L1CA, rows)
+    assert wrong.inverted == (sense < 0.0)
+    if sense > 0.0:
+        assert found.offset_sigma_hz < 60.0
+        assert found.offset_hz == pytest.approx(offset_hz, abs=4.5 * found.offset_sigma_hz)
+        assert wrong.offset_hz == (found.offset_hz if offset_hz else 0.0)
+
+
+def test_nothing_is_said_of_what_cannot_be_told() -> None:
+    """A satellite alone has no sense, only an offset; 20 ms have neither."""
+    sent = sampled({7: (2000.0, 50.0, 45.0)}, 2.5e6, 0.5)
+    source = Recording(sent.samples(0, sent.end_sample), 2.5e6, 4000.0)
+    rows = acquire(source, prns=[7])
+    wrong = acquisition.misfit(source, GPS_L1CA, rows)
+    assert wrong == (False, pytest.approx(-4000.0, abs=500.0))
+    short = Recording(sent.samples(0, 50_000), 2.5e6, 4000.0)
+    assert acquisition.misfit(short, GPS_L1CA, rows) == (False, 0.0)
 
 
 def test_a_later_sample_has_a_later_code_phase() -> None:

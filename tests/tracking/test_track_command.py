@@ -28,7 +28,7 @@ def sky(
     of = make_tracks(29.0, code_noise_m=1.2)
     rows = [Acquisition(int(p), 0.0, 0.0, 45.0, 10.0, 1.0, 0) for p in of.prn]
     monkeypatch.setattr(acquisition, "acquire", lambda *_: rows)
-    monkeypatch.setattr(acquisition, "is_inverted", lambda *_: False)
+    monkeypatch.setattr(acquisition, "misfit", lambda *_: acquisition.Misfit(False, 0.0))
     monkeypatch.setattr(from_samples, "track", lambda *_: of)
     raw = ("--format", "ci8", "--rate", "2.5e6", "--if-hz", 0)
     return ("track", tmp_path / "sky.bin", *raw, "--no-atmosphere")

@@ -40,6 +40,7 @@ _UNSEEN_DBHZ = 50.0
 _ON_AIR = {"L1CA": (*range(1, 33), *range(120, 159), *range(183, 207))}
 """Codes that are sent: GPS, SBAS, QZSS (IS-GPS-200 table 3-Ia, 6-I; IS-QZSS-PNT 3.2)"""
 _SENSE_SIGMA = 0.2
+_OFFSET_SIGMAS, _OFFSET_HZ = 6.0, 700.0
 """Five of these are between right and undecided"""
 _FINE_S = 0.1
 """What is taken of a recording for the fine estimates, if it is that long"""
@@ -201,20 +202,32 @@ def surface(
     return Surface(g.doppler_hz, g.code_phase_chips, energy[0] / levels[:, None])
 
 
-def is_inverted(source: IfSource, signal: Signal, rows: Sequence[Acquisition]) -> bool:
-    """Do codes run against carriers: are the Dopplers found of the wrong sign?
+class Misfit(NamedTuple):
+    """What is wrong with a description, as codes and carriers show it."""
 
-    So they are where Q is negated or a mixer took the other sideband.  False where it cannot be
-    told: too few samples, satellites or Hz.
+    inverted: bool
+    """Dopplers have the wrong sign: Q is negated, or a mixer took the other sideband"""
+    offset_hz: float
+    """By how much the carriers stand higher than the IF says; 0 where that is not sure"""
+
+
+def misfit(source: IfSource, signal: Signal, rows: Sequence[Acquisition]) -> Misfit:
+    """Do codes run against carriers, or beside them?
+
+    Neither, where it cannot be told: too few samples, satellites or Hz.  An oscillator that is off
+    moves both, if it drives mixer and sampler.
     """
     found = [row for row in rows if row.found]
     if not found:
-        return False
+        return Misfit(False, 0.0)
     at = Fine(*(np.array([getattr(row, name) for row in found]) for name in Fine._fields))
     first = found[0].sample_index
     end = min(int(getattr(source, "end_sample", first)), first + round(source.sample_rate_hz))
-    sense, sigma = code_sense(source, signal, [row.prn for row in found], at, first, end)
-    return sigma < _SENSE_SIGMA and sense < 0.0
+    s = code_sense(source, signal, [row.prn for row in found], at, first, end)
+    if s.sense_sigma < _SENSE_SIGMA and s.sense < 0.0:
+        return Misfit(True, 0.0)
+    sure = abs(s.offset_hz) > max(_OFFSET_SIGMAS * s.offset_sigma_hz, _OFFSET_HZ)
+    return Misfit(False, s.offset_hz if sure else 0.0)
 
 
 class _Peak(NamedTuple):

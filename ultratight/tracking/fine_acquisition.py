@@ -28,6 +28,7 @@ _TURNS = 3
 """Of the code phase: from 1/4 of a chip each leaves less than a third of the error"""
 _FLOOR_TAPS = 16
 _PULL_IN_CHIPS = 0.4
+_WINDOW_S, _FEWEST_WINDOWS, _WINDOWS = 0.05, 5, 40
 _PADDING = 4
 """The spectrum of squared prompts is read at this multiple of their number"""
 
@@ -38,6 +39,17 @@ class Fine(NamedTuple):
     code_phase_chips: np.ndarray  # (n,)
     doppler_hz: np.ndarray  # (n,)
     cn0_dbhz: np.ndarray  # (n,)
+
+
+class CodeSense(NamedTuple):
+    """What codes say of carriers."""
+
+    sense: float
+    """Of their Dopplers: 1 as they should be, -1 where Q is negated"""
+    sense_sigma: float
+    offset_hz: float
+    """By how much all carriers stand higher than the codes say, with Dopplers of the right sense"""
+    offset_sigma_hz: float
 
 
 def refine(
@@ -89,33 +101,55 @@ def code_sense(
     at: Fine,
     first_sample: int,
     end_sample: int,
-) -> tuple[float, float]:
-    """How fast codes run with their carriers, and its standard deviation: 1, or -1 if inverted.
+) -> CodeSense:
+    """How fast codes run, beside their carriers.
 
-    Code phases some time after ``first_sample`` (their origin, estimated up to there) against those
-    that the Dopplers predict: 2 f_D / f_carrier of the chip rate lies between the two.  Without
-    enough samples or Doppler the standard deviation is large, or infinite.
+    Code phases in one short window after the other, from ``first_sample`` (their origin) on,
+    against those that the Dopplers predict.  Where carriers stand at f = s d + b and codes run as
+    for d, they leave that by g (f (s - 1) - s b) chips a second, g the chip rate over the carrier:
+    s and b by weighted least squares, then b alone with s = 1.  Without enough samples, satellites
+    or Doppler sigmas are large, or infinite.
     """
-    period_s = signal.length_chips / signal.chip_rate_hz
-    seconds = (end_sample - first_sample) / source.sample_rate_hz
-    gain = signal.chip_rate_hz / signal.carrier_hz * at.doppler_hz
-    fastest = float(np.abs(gain).max(initial=0.0))
-    # so long that the codes are not lost, and half of the samples are left
-    later = min(0.5 * seconds, _PULL_IN_CHIPS / (2.0 * fastest)) if fastest else 0.0
-    n = first_sample + round(later * source.sample_rate_hz)
-    if later < 10.0 * period_s:
-        return 1.0, np.inf
-    moved = signal.chip_rate_hz * later + gain * later
-    start = at._replace(code_phase_chips=(at.code_phase_chips + moved) % signal.length_chips)
-    now = refine(source, signal, prns, start, n, end_sample)
-    half = signal.length_chips / 2.0
-    away = (now.code_phase_chips - start.code_phase_chips + half) % signal.length_chips - half
-    # of a difference of two early-late estimates (Kaplan & Hegarty, 3rd ed., 8.5.1), in chips^2
-    power = 10.0 ** (at.cn0_dbhz / 10.0)
-    variance = (1.0 + 2.0 / (power * period_s)) / (power * min(later, seconds - later))
-    lever = gain * later
-    weight = float(np.sum(lever**2 / variance))
-    return 1.0 + float(np.sum(lever * away / variance)) / weight, weight**-0.5
+    unknown = CodeSense(1.0, np.inf, 0.0, np.inf)
+    per_hz = signal.chip_rate_hz / signal.carrier_hz
+    rate = signal.chip_rate_hz + per_hz * at.doppler_hz
+    fastest = per_hz * float(np.abs(at.doppler_hz).max(initial=0.0))
+    whole = (end_sample - first_sample) / source.sample_rate_hz
+    seconds = min(_WINDOW_S, whole / _FEWEST_WINDOWS, _PULL_IN_CHIPS / (2.0 * fastest + 1e-9))
+    n = max(int(seconds * source.sample_rate_hz), 1)
+    windows = min((end_sample - first_sample) // n, _WINDOWS)
+    if windows < _FEWEST_WINDOWS or seconds < 10.0 * signal.length_chips / signal.chip_rate_hz:
+        return unknown
+    half, away = signal.length_chips / 2.0, np.zeros((windows, len(prns)))
+    guess = np.zeros(len(prns))
+    for k in range(windows):
+        code = at.code_phase_chips + rate * (k * n / source.sample_rate_hz) + guess
+        start = at._replace(code_phase_chips=code % signal.length_chips)
+        first = first_sample + k * n
+        now = refine(source, signal, prns, start, first, first + n)
+        more = now.code_phase_chips - start.code_phase_chips
+        away[k] = guess + (more + half) % signal.length_chips - half
+        guess = away[k] + (away[k] - away[k - 1] if k else 0.0)
+    times = np.arange(windows) * n / source.sample_rate_hz
+    times -= times.mean()
+    drift = times @ away / (times @ times)
+    # of an early-late estimate (Kaplan & Hegarty, 3rd ed., 8.5.1), in chips^2
+    power, period_s = 10.0 ** (at.cn0_dbhz / 10.0), signal.length_chips / signal.chip_rate_hz
+    variance = (1.0 + 2.0 / (power * period_s)) / (power * n / source.sample_rate_hz)
+    weight = per_hz**2 * (times @ times) / variance
+    return _line_through(at.doppler_hz, drift / per_hz, weight)
+
+
+def _line_through(doppler_hz: np.ndarray, drift_hz: np.ndarray, weight: np.ndarray) -> CodeSense:
+    """s and b of `code_sense` from the codes' drift as Doppler (n,)."""
+    total = float(weight.sum())
+    offset = -float(weight @ drift_hz) / total
+    apart = doppler_hz - float(weight @ doppler_hz) / total
+    spread = float(weight @ apart**2)
+    if not spread > 0.0:
+        return CodeSense(1.0, np.inf, offset, total**-0.5)
+    slope = float(weight @ (apart * drift_hz)) / spread
+    return CodeSense(1.0 + slope, spread**-0.5, offset, total**-0.5)
 
 
 def period_taps(
