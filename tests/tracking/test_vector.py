@@ -17,6 +17,7 @@ from ultratight.simulation import fly, new_closure
 from ultratight.tracking.knows import Knows
 from ultratight.tracking.scalar import ScalarSettings
 from ultratight.tracking.vector import Vector
+from ultratight.tracking.vector_faults import Faults
 from ultratight.tracking.vector_solution import VectorSettings, transition
 from ultratight.world import World
 
@@ -203,6 +204,32 @@ def test_a_satellite_that_contradicts_the_others_falls_back_and_returns() -> Non
     held = alone["contributes"][(alone.t_s > 2.5) & (alone.t_s < 4.4), i]
     assert not held.any()
     assert alone["member"][-1, i] == 1.0
+
+
+@pytest.mark.parametrize("fault", [False, True])
+def test_a_motion_that_three_of_ten_see_is_no_satellite_s_fault(fault: bool) -> None:
+    """A booster's staging: a wrong velocity of 2 m/s, 7 sigma of the low pass of three rates whose
+    satellites stand along it, 1 sigma of the others'.  The same on one of the three is a fault."""
+    rng = np.random.default_rng(6)
+    toward = np.array([0.6, 0.0, 0.8])
+    # three around the direction, seven nearly across it
+    across = np.linalg.svd(toward[None])[2][1:]
+    turn = np.array([0.3, 2.4, 4.5, 0.0, 0.9, 1.8, 2.7, 3.6, 4.5, 5.4])
+    along = np.where(np.arange(10) < 3, 0.95, 0.1 * np.cos(5.0 * turn))
+    side = np.stack([np.cos(turn), np.sin(turn)], axis=1) @ across
+    u = along[:, None] * toward + np.sqrt(1.0 - along**2)[:, None] * side
+    line, sigma = (
+        np.column_stack([-u, np.ones(10)]),
+        np.column_stack([np.full(10, 9.0), np.ones(10)]),
+    )
+    common = np.append(2.0 * toward, 0.0)
+    faults, everybody = Faults(10, 0.02), np.ones(10, dtype=np.bool_)
+    z = np.zeros((10, 2))
+    z[:, 1] = np.where(np.arange(10) == 1, 2.0, 0.0) if fault else line @ common
+    for k in range(20):
+        noise = 0.1 * rng.standard_normal((10, 2))
+        faults.watch(0.02 * k, np.arange(10), z + noise, sigma, line, everybody, everybody)
+    assert np.flatnonzero(faults.out).tolist() == ([1] if fault else [])
 
 
 @pytest.mark.slow
