@@ -15,9 +15,10 @@ correlated).  Kaplan & Hegarty, 3rd ed., 8.5.
 
 Cells go outwards through the ellipse of 3 sigma of (range, rate) that the covariance gives each
 channel, in passes of 4, 8, 4, 16, 4, 8, 4, 32 ... of the nearest: nobody knows when the signal
-will be back, and it is seldom far.  A peak is closed in on until it is the prompt's, within half a
-bin; the replica is held there, and the channel heard and measured as any other.  It enters the
-solution together with another one (or after a second alone), if their innovations agree.
+will be back, and it is seldom far.  Every other channel stays nearer, with the square roots of
+those powers of two.  A peak is closed in on until it is the prompt's, within half a bin; the
+replica is held there, and the channel heard and measured as any other.  It enters the solution
+together with another one (or after a second alone), if their innovations agree.
 """
 
 from __future__ import annotations
@@ -182,7 +183,9 @@ class Search:
         self.state[i] = LOOKING
         where = cells(spread, self.step_size)
         self.index[i] += 1
-        length = FIRST_PASS * int(self.passes[i] & -self.passes[i])
+        doubled = float(self.passes[i] & -self.passes[i])
+        # every other channel stays near: two are enough to bring all the others back
+        length = FIRST_PASS * (doubled if i % 2 else math.sqrt(doubled))
         if self.index[i] >= min(length, len(where)):
             self.passes[i] = 1 if length >= len(where) else self.passes[i] + 1
             self.index[i], self.extent[i] = 0, _area(spread)
