@@ -30,6 +30,24 @@ def test_rocket_obeys_the_rocket_equation() -> None:
     assert along(81.0, 120.0) == pytest.approx(second - 0.15 * 3.0 * G, rel=2e-3)
 
 
+def test_rocket_burns_at_constant_thrust() -> None:
+    """f0 / (1 - f0 t / Isp) all along; chords of up to 5 s lie 0.02 g above the curve."""
+    rocket = motion(load("rocket-launch", {"vibration": []}))
+    for t0, t1, lit_s, isp_s in ((10.3, 77.4, 10.0, 270.0), (81.4, 119.9, 81.0, 290.0)):
+        t = np.arange(t0, t1, 0.1)
+        thrust = 3.0 / (1.0 - 3.0 * (t - lit_s) / isp_s)
+        np.testing.assert_allclose(rocket.specific_force(t)[:, 0] / G, thrust, atol=0.06)
+
+
+def test_rocket_pitches_over_by_12_degrees() -> None:
+    """2 deg/s for 4 s and two ramps of 2 s to it; then the path falls over by itself."""
+    rocket = motion(load("rocket-launch", {"vibration": []}))
+    up = -rocket.C_n_e[:, 2]
+    for at, angle_deg in ((14.9, 0.0), (23.0, 12.0)):
+        off = math.acos(min(1.0, float(rocket.at(at).C_b_e[:, 0] @ up)))
+        assert math.degrees(off) == pytest.approx(angle_deg, abs=0.05)
+
+
 def test_rocket_loads_and_times() -> None:
     """1 g on the pad, 3 to 12 g, nothing between the stages, a gravity turn without side force."""
     rocket = motion(load("rocket-launch", {"vibration": []}))
