@@ -70,7 +70,8 @@ class Recording:
 
     Raises
     ------
-    ValueError : a file that is missing, empty or truncated; from `samples`, a range outside it.
+    ValueError : a file that is missing, empty or truncated; from `samples`, a range outside it, a
+        value that is not finite.
     """
 
     def __init__(
@@ -127,8 +128,8 @@ class Recording:
         """Samples n0 <= n < n1 as (n1 - n0, 2): I, Q.  Maybe a view, not to be written to."""
         check_range(n0, n1, self.first_sample, self.end_sample, self.name)
         if self._pairs is not None:
-            return self._pairs[n0 - self.first_sample : n1 - self.first_sample]
-        values = self._values(n0 - self.first_sample, n1 - self.first_sample)
+            return self._finite(self._pairs[n0 - self.first_sample : n1 - self.first_sample], n0)
+        values = self._finite(self._values(n0 - self.first_sample, n1 - self.first_sample), n0)
         if self.format.real:
             out = np.zeros((len(values), 2), self.dtype)
             out[:, 0] = values[:, 0]
@@ -141,6 +142,13 @@ class Recording:
             least = -127 if self.dtype == np.int8 else -np.inf
             values = np.stack([values[:, 0], -np.maximum(values[:, 1], least)], axis=1)
         return values.astype(self.dtype, copy=False)
+
+    def _finite(self, values: np.ndarray, n0: int) -> np.ndarray:
+        """The values (n, components) of samples from n0 on; ValueError: NaN or inf among them."""
+        if values.dtype.kind == "f" and not np.isfinite(values.sum(dtype=np.float64)):
+            bad = n0 + int(np.flatnonzero(~np.isfinite(values).all(axis=1))[0])
+            raise ValueError(f"{self.name}: sample {bad} is not finite, expected numbers")
+        return values
 
     def _values(self, a: int, b: int) -> np.ndarray:
         """Recorded values of samples a ... b - 1, (b - a, components), as they stand."""

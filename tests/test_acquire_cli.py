@@ -112,6 +112,7 @@ def test_clipped_samples_are_said_to_be(
 
 
 BAD = {
+    "silent": (bytes(8000), (), "samples are all equal"),
     "too short": (bytes(range(86)) * 93, (), "bad.bin: samples 0 to 3999, expected 0 to 40000"),
     "truncated": (bytes(range(101)), (), "truncated, the sample that begins at byte 100 of 101"),
     "constant": (bytes(200_000), (), "samples are all equal or not finite"),

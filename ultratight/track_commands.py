@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from datetime import UTC
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -163,6 +164,7 @@ def track(
     tracks = from_samples.track(recording, found, end, settings)
     atmosphere = has_atmosphere(file) if atmosphere is None else atmosphere
     nav = navigate(tracks, atmosphere=atmosphere, near_week=near_week, interval_ms=interval_ms)
+    warnings += _missing(recording, nav)
     flown = None
     if planned is not None:
         with progress(f"flying {closure}", quiet or as_json) as report:
@@ -191,6 +193,22 @@ def track(
         print("\n".join(flight_commands.lines(told["flight"])))
     for path in written:
         print(f"written: {path}")
+
+
+def _missing(recording: Recording, nav: Navigation) -> list[str]:
+    """A line, also to stderr, where the message says that samples are missing."""
+    from ultratight.tracking.observables import missing_s
+
+    found = missing_s(nav.tracks, nav.telemetry)
+    if not found:
+        return []
+    at = ", ".join(f"PRN {prn} from {t[0]:.1f} s" for prn, t in found.items())
+    line = (
+        f"{recording.name}: words are strong and yet wrong, as where samples are missing: {at}; "
+        "the time is not believed from there to the next subframes"
+    )
+    print(f"warning: {line}", file=sys.stderr)
+    return [line]
 
 
 def has_atmosphere(file: Path) -> bool:

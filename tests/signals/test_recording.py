@@ -258,3 +258,20 @@ def test_satellites_of_the_real_sky_are_where_they_were_found(name: str) -> None
         # swapped and conjugated: turned by a quarter, the same sense
         turned = Recording(IQ / name, **(how | {"swap_iq": True}))
         assert strongest(turned, prn, doppler_hz)[1] == pytest.approx(right, rel=1e-6)
+
+
+@pytest.mark.parametrize("name", ["cf32", "rf32", "cf32_be"])
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf])
+def test_a_value_that_is_not_finite_is_named_by_its_sample(
+    tmp_path: Path, name: str, wrong: float
+) -> None:
+    """Far from what sigma is measured of, in a file that is read in pieces."""
+    x = np.zeros((3_000_000,) if name[0] == "r" else (3_000_000, 2), np.float32)
+    x[::2] = 1.0
+    x[2_345_678, ...] = wrong
+    path = tmp_path / "if.bin"
+    path.write_bytes(encode(x, FORMATS[name]).tobytes())
+    recording = Recording(path, FS, 1e6 if name[0] == "r" else 0.0, 1.0, sample_format=name)
+    assert np.isfinite(recording.samples(0, 2_345_678)).all()
+    with pytest.raises(ValueError, match=r"if.bin: sample 2345678 is not finite"):
+        recording.samples(2_345_000, 2_346_000)

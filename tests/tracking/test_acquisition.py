@@ -378,5 +378,5 @@ def test_samples_that_cannot_be_searched() -> None:
     with pytest.raises(ValueError, match=r"at if_hz 0: expected a band .* half .*; it holds 45%"):
         acquire(Recording(pairs[:, 0].copy(), 4e6, 0.0))
     pairs[33_333, 1] = np.nan
-    with pytest.raises(ValueError, match=r"sample 33333 is .*nan.*, expected finite values"):
+    with pytest.raises(ValueError, match="sample 33333 is not finite, expected numbers"):
         acquire(Recording(pairs, 4e6, 0.0, 1.0))

@@ -13,6 +13,7 @@ from signals.satellites import embedded
 from ultratight.tracking.from_samples import Tracks
 from ultratight.tracking.observables import (
     Observations,
+    missing_s,
     observe,
     start_guess_ms,
     sure_edges,
@@ -84,6 +85,29 @@ def test_a_loss_of_lock_is_a_gap_until_the_next_handover_word(tracks: Tracks) ->
     assert np.flatnonzero(there != expected).size <= 1  # 84 ms or 66 ms of travel
     assert seen.restarted[:, 0].sum() == 2
     assert np.isfinite(seen.pseudorange_m[:, 1]).all()
+
+
+def test_samples_that_are_missing_end_the_belief_in_time(tracks: Tracks) -> None:
+    """A whole data bit is cut out of the prompts at 13 s, which no loop and no bit edge notices.
+
+    475233 is in word 6 of subframe 1 (475230 to 475236), whose words take 0.6 s; what follows is
+    late by a bit until the heads of two subframes have said so: 475241.98 and 475247.98 + 1.2 s.
+    """
+    right = sure_edges(tracks)
+    own = np.flatnonzero(right.channel == 0)
+    after = own[right.t_s[own] > 13.0]
+    iq = right.iq.copy()
+    iq[after[:-20]] = right.iq[after[20:]]
+    cut = right._replace(iq=iq)
+    told = telemetry(cut)
+    found = missing_s(cut, told)
+    assert list(found) == [PRNS[0]]
+    assert found[PRNS[0]] == pytest.approx([13.0], abs=0.7)
+    seen = observe(cut, told, START_MS, 100)
+    there = np.isfinite(seen.pseudorange_m[:, 0])
+    assert there[seen.t_s < 12.3].all()
+    assert not there[(seen.t_s > 13.1) & (seen.t_s < 21.0)].any()
+    assert missing_s(right, telemetry(right)) == {}
 
 
 def test_guess_of_the_clock(tracks: Tracks) -> None:

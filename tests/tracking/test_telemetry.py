@@ -118,6 +118,21 @@ def test_slip_of_bits_begins_a_new_time():
     assert [s.number for s in told.subframes] == [3, 4, 5, 2, 3]
 
 
+def test_time_is_not_believed_where_bits_went_missing_until_a_head_says_it_anew():
+    """One bit lost in word 5 of a subframe: from that word on all are wrong, though strong; the
+    next two heads tell a time that is one bit later.  A half-cycle slip costs nothing."""
+    whole = stream(2500)
+    z = np.delete(whole, 1000 + 4 * 30 + 7)
+    first, second = heard(z, 40).clocks
+    assert second.week_bit - first.week_bit == 1
+    assert {m.until for m in first.marks} == {40 + 1000 + 4 * 30}
+    assert min(m.until for m in second.marks) > 10**9
+    slipped = whole.copy()
+    slipped[1000 + 4 * 30 + 7 :] *= -1.0
+    (clock,) = heard(slipped).clocks
+    assert min(m.until for m in clock.marks) > 10**9
+
+
 def test_without_phase_lock_no_word_is_believed():
     """A phase that turns: parities are right by chance in one word of 64, none is taken."""
     rng = np.random.default_rng(4)

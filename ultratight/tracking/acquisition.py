@@ -40,7 +40,7 @@ _UNSEEN_DBHZ = 50.0
 _ON_AIR = {"L1CA": (*range(1, 33), *range(120, 159), *range(183, 207))}
 """Codes that are sent: GPS, SBAS, QZSS (IS-GPS-200 table 3-Ia, 6-I; IS-QZSS-PNT 3.2)"""
 _SENSE_SIGMA = 0.2
-_OFFSET_SIGMAS, _OFFSET_HZ = 6.0, 700.0
+_OFFSET_SIGMAS, _OFFSET_HZ = 6.0, (700.0, 15e3)
 """Five of these are between right and undecided"""
 _FINE_S = 0.1
 """What is taken of a recording for the fine estimates, if it is that long"""
@@ -226,7 +226,8 @@ def misfit(source: IfSource, signal: Signal, rows: Sequence[Acquisition]) -> Mis
     s = code_sense(source, signal, [row.prn for row in found], at, first, end)
     if s.sense_sigma < _SENSE_SIGMA and s.sense < 0.0:
         return Misfit(True, 0.0)
-    sure = abs(s.offset_hz) > max(_OFFSET_SIGMAS * s.offset_sigma_hz, _OFFSET_HZ)
+    least, most = max(_OFFSET_SIGMAS * s.offset_sigma_hz, _OFFSET_HZ[0]), _OFFSET_HZ[1]
+    sure = least < abs(s.offset_hz) < most  # beyond, these are no satellites' codes
     return Misfit(False, s.offset_hz if sure else 0.0)
 
 
@@ -307,6 +308,12 @@ def _checked_end(source: IfSource, g: Grid) -> int:
         raise ValueError(
             f"{name}: samples {least} to {last}, expected {g.first_sample} to {g.end_sample}, as "
             f"{g.n_block} x {g.block_s * 1e3:g} ms are searched"
+        )
+    searched = source.samples(g.first_sample, g.end_sample)
+    if (searched == searched[0]).all():
+        raise ValueError(
+            f"{name}: samples {g.first_sample} to {g.end_sample}, those to be searched, are all "
+            "equal, expected a signal (--skip leaves out the beginning)"
         )
     wanted = g.first_sample + round(_FINE_S * g.sample_rate_hz)
     return min(last, max(wanted, g.end_sample))

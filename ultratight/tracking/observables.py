@@ -104,6 +104,18 @@ def telemetry(tracks: Tracks) -> list[Telemetry]:
     return [read(*tracks.bits(i)) for i in range(len(tracks.prn))]
 
 
+def missing_s(tracks: Tracks, told: Sequence[Telemetry]) -> dict[int, list[float]]:
+    """PRN: when words became wrong though strong, as where samples are missing [s]."""
+    found = {}
+    for i, one in enumerate(told):
+        rows = tracks.channel == i
+        bits = tracks.code_phase_chips[rows] / BIT_CHIPS
+        until = np.array(sorted({m.until for c in one.clocks for m in c.marks}))
+        if len(until := until[until <= bits.max(initial=0.0)]):
+            found[int(tracks.prn[i])] = np.interp(until, bits, tracks.t_s[rows]).tolist()
+    return found
+
+
 def start_guess_ms(tracks: Tracks, told: Sequence[Telemetry]) -> int | None:
     """What the receiver's clock may have read at sample 0 [ms of week]; None: no time is known."""
     starts = []
@@ -178,6 +190,7 @@ def _known(
             marks = [m for m in clock.marks if low <= m.bit and m.bit <= np.interp(end, t, bits)]
             for mark in marks:
                 now = (t_s < end) & (bit_now >= max(mark.bit + HEAD_BITS, clock.known_bit))
+                now &= bit_now < mark.until
                 week_bit[now], half[now] = _near(clock.week_bit, told), mark.inverted
                 span[now] = number
     return week_bit, half, span

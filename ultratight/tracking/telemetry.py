@@ -39,6 +39,7 @@ _WEEK_SUBFRAMES = round(WEEK_S / SUBFRAME_S)
 _WEEK_BITS = round(WEEK_S / BIT_S)
 _BIT_NOISE2 = 20.0
 """Variance of the noise in each part of a bit's sum of 20 prompts of unit noise"""
+_NEVER = 1 << 60
 _KNOWN = {False: np.full(2, np.inf + 0j), True: np.full(2, -np.inf + 0j)}
 """D29 D30 before the first word are zeros (20.3.3.5.1.2)"""
 
@@ -64,6 +65,8 @@ class Mark(NamedTuple):
     """Number of its first bit"""
     inverted: bool
     """The bits are the complement of what was sent"""
+    until: int
+    """Number of the bit from which on words are wrong though strong: bits are missing there"""
 
 
 class Clock(NamedTuple):
@@ -93,6 +96,7 @@ class _Head(NamedTuple):
     week_bit: int
     whole: bool
     """All ten words are right"""
+    until: int
 
 
 def read(sums: np.ndarray, numbers: np.ndarray) -> Telemetry:
@@ -143,11 +147,31 @@ def word(soft: np.ndarray, previous: np.ndarray) -> tuple[int | None, bool]:
     data = value >> 6 ^ (0xFFFFFF if last & 1 else 0)
     if parity(data, last) != value & 0x3F:
         return None, False
+    return (data if _is_strong(soft, previous) else None), True
+
+
+def _is_strong(soft: np.ndarray, previous: np.ndarray) -> bool:
+    """Is (1) below `WRONG`?"""
     noise2 = max(_BIT_NOISE2, float(np.mean(soft.imag**2)))
     amplitude = math.sqrt(max(float(np.mean(soft.real**2)) - noise2, 0.0))
     size = np.abs(np.concatenate([previous.real, soft.real]))
     least = float(np.sum(np.partition(size, 4)[:4]))
-    return (data if 2.0 * amplitude * least / noise2 > _SURE else None), True
+    return 2.0 * amplitude * least / noise2 > _SURE
+
+
+def _until(soft: np.ndarray, start: int) -> int:
+    """First bit of two words in a row that are wrong though strong, from a subframe's start on.
+
+    A slip of half a cycle spoils one word; where samples were lost all words have moved.
+    """
+    before = False
+    for first in range(start + WORD_BITS, len(soft) - WORD_BITS + 1, WORD_BITS):
+        one, previous = soft[first : first + WORD_BITS], soft[first - 2 : first]
+        wrong = not word(one, previous)[1] and _is_strong(one, previous)
+        if wrong and before:
+            return first - WORD_BITS
+        before = wrong
+    return _NEVER
 
 
 def _preambles(soft: np.ndarray) -> list[int]:
@@ -181,7 +205,8 @@ def _head(soft: np.ndarray, start: int) -> list[_Head]:
     if not ends_in_zeros or count >= _WEEK_SUBFRAMES or number != begun % 5 + 1:
         return []
     data, _ = _subframe(soft, start)
-    return [_Head(start, inverted, begun * SUBFRAME_BITS - start, data is not None)]
+    week_bit = begun * SUBFRAME_BITS - start
+    return [_Head(start, inverted, week_bit, data is not None, _until(soft, start))]
 
 
 def _subframe(soft: np.ndarray, start: int) -> tuple[int | None, Words]:
@@ -214,7 +239,8 @@ def _clock(group: list[_Head]) -> Clock | None:
     known += [second.bit + _HEAD_BITS for second in group[1:2]]
     if not known:
         return None
-    return Clock(group[0].week_bit, min(known), [Mark(h.bit, h.inverted) for h in group])
+    marks = [Mark(h.bit, h.inverted, h.until) for h in group]
+    return Clock(group[0].week_bit, min(known), marks)
 
 
 def _apart(clocks: list[Clock]) -> list[Clock]:
@@ -246,5 +272,5 @@ def _places(clocks: list[Clock], n: int) -> list[tuple[Clock, int]]:
 
 def _numbered(clock: Clock, base: int) -> Clock:
     """The clock for bits whose first one has the number ``base``."""
-    marks = [m._replace(bit=m.bit + base) for m in clock.marks]
+    marks = [m._replace(bit=m.bit + base, until=m.until + base) for m in clock.marks]
     return Clock(clock.week_bit - base, clock.known_bit + base, marks)
