@@ -114,12 +114,21 @@ def test_ins_aiding_leaves_what_the_imu_gets_wrong():
         column(predicted("jump-1", wrong), "stress"), 0.003 * 0.485 * step / W**2 * DEGREES,
         rtol=0.01, atol=1e-3,
     )  # fmt: skip
-    # a lag of 5 ms leaves 5 ms times the step as a rate: 0.3095 v / w
-    late = PERFECT_INS | {"imu.lag_s": 0.005}
+    # 5 ms late leave 5 ms times the step as a rate: 0.3095 v / w, whoever is late
     expected = 0.005 * step * 0.3095 / W * DEGREES
-    np.testing.assert_allclose(
-        column(predicted("jump-1", late), "stress"), expected, rtol=0.01, atol=1e-3
-    )
+    for lag, latency in ((0.005, 0.0), (0.0, 0.005), (0.003, 0.002)):
+        late = PERFECT_INS | {"imu.lag_s": lag, "receiver.aiding_latency_s": latency}
+        np.testing.assert_allclose(
+            column(predicted("jump-1", late), "stress"), expected, rtol=0.01, atol=1e-3
+        )
+
+
+def test_what_is_beyond_saturation_is_not_aided():
+    """60 of the 100 m/s2 are measured, 40 % of the step are left."""
+    step = true_step(World(ultratight.load("jump-1", SCALAR), 1))
+    saturated = PERFECT_INS | {"imu.saturation_g": 60.0 / 9.80665}
+    found = column(predicted("jump-1", saturated), "stress")
+    np.testing.assert_allclose(found, 0.4 * 0.485 * step / W**2 * DEGREES, rtol=0.01, atol=0.02)
 
 
 def test_no_aid_knows_an_oscillator_that_feels_the_acceleration():
@@ -198,7 +207,9 @@ def test_doppler_is_as_well_known_as_the_filter_says_in_a_run(changes, tolerance
     scenario = ultratight.load("uniform", changes)
     run = ultratight.run(scenario, seed=3)
     found = predict(scenario)
-    hz, _ = sight_sigma(run, 15)
+    hz, length = sight_sigma(run, 15)
+    if changes["receiver.measurement"] != "coherent":  # phases known for good tell ranges too
+        np.testing.assert_allclose(column(found, "code_m"), length, rtol=0.15)
     np.testing.assert_allclose(column(found, "doppler_hz"), hz, rtol=tolerance)
 
 

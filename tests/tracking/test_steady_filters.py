@@ -7,7 +7,9 @@ from scipy.linalg import solve_discrete_are
 from ultratight.ins.error_state import ProcessNoise
 from ultratight.tracking.steady_filters import (
     averaged_code,
+    federated_filter,
     peak_response,
+    phase_filter,
     sigma,
     steady,
     tight_filter,
@@ -74,6 +76,35 @@ def test_tight_filter_is_where_the_recursion_ends(coherent):
         after = (unit - K @ H) @ P @ (unit - K @ H).T + K @ R @ K.T
         P = found.phi @ after @ found.phi.T + Q
     np.testing.assert_allclose(sigma(P, unit), sigma(found.prior, unit), rtol=2e-3)
+
+
+def test_a_line_says_the_rate_in_the_middle_of_its_interval():
+    """A body that has accelerated by a for T seconds and is at v now: v - a T / 2 along the line;
+    the drift and the clock's step add.  Sigma of the slope of n phases, h apart: R 12 / (h^2 n
+    (n^2 - 1)) by numpy's polyfit."""
+    u, T, half = sky(), 0.1, np.full(8, 0.01)
+    found = federated_filter(NOISE, 9.8, u, T, half, np.full(8, 1e-5))
+    v, a = np.array([3.0, -2.0, 1.0]), np.array([0.5, 0.2, -0.4])
+    x = np.concatenate([v, a, [0.7, 0.1]])
+    np.testing.assert_allclose(found.rows @ x, -u @ (v - 0.5 * T * a) + 0.7 + 0.1, rtol=1e-12)
+    t = 0.01 * np.arange(10)
+    weights = np.linalg.pinv(np.stack([np.ones(10), t], axis=1))[1]
+    told = np.linalg.inv(found.after) - np.linalg.inv(found.prior)  # H' R^-1 H
+    one = found.rows.T @ found.rows
+    assert np.trace(one) / np.trace(told) == pytest.approx(1e-5 * weights @ weights, rel=1e-3)
+
+
+def test_a_phase_lags_behind_an_acceleration_by_what_its_gain_takes_off():
+    """Each step adds a h to the rate, the gain K takes K e off: e = a h / K."""
+    h = 0.01
+    found = phase_filter(NOISE.clock_sf, NOISE.clock_sg + NOISE.velocity, h, 1e-5)
+    push = np.array([h * h / 2.0, h])
+    peak = peak_response(found, np.array([[1.0, 0.0]]), np.zeros(2), push, 300, 300)
+    assert peak[0] == pytest.approx(h / found.gain[1, 0], rel=0.02)
+    P = solve_discrete_are(
+        found.phi.T, found.rows.T, found.prior - found.phi @ found.after @ found.phi.T, [[1e-5]]
+    )
+    np.testing.assert_allclose(found.prior, P, rtol=1e-6)
 
 
 def test_code_averages_like_a_mean():
