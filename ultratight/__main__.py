@@ -93,6 +93,8 @@ def doctor(as_json: Json = False) -> None:
     """Say which kernels run here, and check them."""
     from ultratight import doctor as examiner
 
+    if not as_json and sys.stderr.isatty():
+        print("checking the kernels; those that are not kept yet are compiled", file=sys.stderr)
     told = examiner.examine()
     print(json.dumps(told) if as_json else "\n".join(examiner.lines(told)))
     if not told["healthy"]:
