@@ -156,7 +156,8 @@ def draw(study: Study, ds: xr.Dataset) -> None:
         if logarithmic:
             ax.set_yscale("log")
     axes[2].axhline(LOSS, color="black", linewidth=0.6)
-    axes[0].legend(fontsize=7.0, ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+    axes[0].legend(fontsize=7.0, ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0),
+                   handlelength=4.5)  # fmt: skip
     axes[-1].set_xlabel("C/N0 [dB-Hz]")
     page.suptitle(
         f"Uniform motion, matched IMU, {ds.sizes['run']} runs of {DURATION_S:g} s: medians",
