@@ -9,14 +9,14 @@ component, and from them
 as the VDFLL has at low C/N0 (`ultratight.tracking.vector_measurements`).  A Kalman filter in its
 steady state at that C/N0 weighs them and steers: a *vector* one has the VDFLL's states without
 position (velocity, clock drift, and acceleration where it has eleven) and all channels, a *scalar*
-one is the same filter of a single channel, whose line of sight has the same white jerk (or
-acceleration) and clock.  Nothing else differs; what the vector one gains is that channels share a
-state.  The truth is uniform motion with the clock's own noise.
+one is the same filter of a single channel, whose line of sight has the process noise of one of the
+VDFLL's axes (acceleration, or its jerk, white) and of its clock.  Nothing else differs; what the
+vector one gains is that channels share a state.  The truth is uniform motion with the clock's own
+noise.
 """
 
 from __future__ import annotations
 
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -28,13 +28,15 @@ from common.closure_cells import DURATION_S, FIVE, WORLD
 from ultratight.data_sheets import imu_errors, process_noise
 from ultratight.predicted_motion import motion
 from ultratight.tracking.channel_state import BIT_S, HALF_BIT_S, WAVELENGTH_M
-from ultratight.tracking.vector_solution import VectorSettings
+from ultratight.tracking.vector_solution import VectorSettings, transition
 from ultratight.world import World
 
 OFF_HZ, OFF_BITS = 25.0, 10
 """Lost as in `metrics.off_carrier_s`"""
 TRIALS, SEED = 200, 77
 LEVELS = tuple(float(x) for x in range(9, 24))
+PLACE, DRIFT = (0, 1, 2, 6), 7
+"""States of the VDFLL that are no rates, and its clock drift"""
 RESPONSE = 2000
 """Bits after which nothing is left of a loop's impulse response"""
 
@@ -49,36 +51,21 @@ class Loop(NamedTuple):
     clock_walk: float
 
 
-@cache
-def clock_density() -> float:
-    """S_g of the presets' oscillator [m2/s3]."""
-    scenario = ultratight.load("uniform", WORLD)
-    return float(process_noise(scenario, imu_errors(scenario, 1)).clock_sg)
-
-
 def loop(u: np.ndarray | None, states: int) -> Loop:
     """Of all lines of sight u (n, 3), or with None of a channel alone; 8 or 11 states."""
-    axes, T, sg = 1 if u is None else 3, BIT_S, clock_density()
-    each = 1 if states == 8 else 2
-    density = VectorSettings()
-    n = axes * each + (0 if u is None else 1)
-    F, Q = np.eye(n), np.zeros((n, n))
-    for k in range(axes):
-        own = [k + axes * j for j in range(each)]
-        if each == 1:
-            Q[np.ix_(own, own)] = density.acceleration_mps2_sqrt_hz**2 * T
-        else:
-            F[own[0], own[1]] = T
-            gain = np.array([[T**3 / 3.0, T**2 / 2.0], [T**2 / 2.0, T]])
-            Q[np.ix_(own, own)] = density.jerk_mps3_sqrt_hz**2 * gain
-    clock = 0 if u is None else n - 1
-    Q[clock, clock] += sg * T
-    H = np.zeros((1 if u is None else len(u), n))
-    if u is None:
-        H[0, 0] = 1.0
-    else:
-        H[:, :3], H[:, clock] = -u, 1.0
-    return Loop(F, Q, H, clock, float(np.sqrt(sg * T)))
+    scenario = ultratight.load("uniform", WORLD)
+    clock = process_noise(scenario, imu_errors(scenario, 1))
+    F, Q = transition(VectorSettings(states=states, update_s=BIT_S), clock.clock_sf, clock.clock_sg)
+    walk = float(np.sqrt(Q[DRIFT, DRIFT]))
+    if u is not None:
+        kept = [i for i in range(states) if i not in PLACE]
+        H = np.zeros((len(u), len(kept)))
+        H[:, 0:3], H[:, kept.index(DRIFT)] = -u, 1.0
+        return Loop(F[np.ix_(kept, kept)], Q[np.ix_(kept, kept)], H, kept.index(DRIFT), walk)
+    kept = [3, 8] if states > 8 else [3]  # one axis stands for the line of sight
+    Q = Q[np.ix_(kept, kept)]
+    Q[0, 0] += walk**2
+    return Loop(F[np.ix_(kept, kept)], Q, np.eye(1, len(kept)), 0, walk)
 
 
 def gain(of: Loop, cn0_dbhz: float) -> np.ndarray:
@@ -99,7 +86,7 @@ def bandwidth_hz(of: Loop, cn0_dbhz: float) -> float:
     for _ in range(RESPONSE):
         h.append(float(of.H[0] @ x))
         x = A @ x
-    return float(np.sum(np.square(h)) / (2.0 * BIT_S))
+    return float(np.sum(np.square(h)) / (2.0 * BIT_S * np.sum(h) ** 2))
 
 
 def fly(of: Loop, cn0_dbhz: float, trials: int, rng: np.random.Generator) -> np.ndarray:

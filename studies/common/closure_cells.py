@@ -22,7 +22,7 @@ BLOCKED_S, JUMP_S = (6.0, 14.0), (8.0, 13.0)
 G10 = 98.0
 DEEP_DB = -45.0
 FIRST_SEED = 3001
-RUNS, BLOCKED_RUNS, ERROR_RUNS, OUTAGE_RUNS, SAMPLE_RUNS = 8, 6, 6, 5, 4
+RUNS, BLOCKED_RUNS, ERROR_RUNS, OUTAGE_RUNS, SAMPLE_RUNS = 8, 6, 6, 4, 3
 
 
 def _fll(hz: float, order: int) -> Change:
@@ -103,30 +103,30 @@ _INS_BLOCKED = (11.0, 17.0, 20.0, 22.0, 24.0)
 LEVELS: dict[str, dict[str, tuple[float, ...]]] = {
     "uniform": {
         "scalar": _LOOPS, "scalar-ins": _LOOPS, "scalar FLL": (23.0, 24.0, 25.0, 26.0),
-        "VDFLL": (15.5, 16.5, 17.5, 18.5), "VDFLL-8": (13.5, 14.5, 15.5, 16.5),
+        "VDFLL": (15.5, 16.5, 17.5, 18.5, 20.0, 22.0), "VDFLL-8": (14.5, 15.5, 16.5, 17.5),
         **dict.fromkeys(INS, _INS),
     },
     "5 satellites": {
-        "VDFLL": (18.0, 19.0, 20.0, 21.0), "VDFLL-8": (15.0, 16.5, 18.0, 19.0),
+        "VDFLL": (17.0, 18.0, 19.0, 20.5, 22.0),
         **dict.fromkeys(INS, _INS),
     },
     "jump": {
         "scalar": (28.0, 34.0, 42.0), "scalar, 50 Hz": (28.0, 30.0, 32.0, 34.0),
         "scalar-ins": _LOOPS, "scalar FLL": (28.0, 34.0, 42.0),
-        "VDFLL": (22.0, 24.0, 26.0, 28.0, 30.0),
+        "VDFLL": (22.0, 24.0, 26.0, 28.0),
         **dict.fromkeys((*INS, *FADING), _INS),
     },
     "jump, 3000 ppm": {"scalar-ins": _LOOPS, **dict.fromkeys((*INS, *FADING), _INS)},
     "2 blocked": {
-        "VDFLL": (16.5, 17.5, 18.5, 20.0),
+        "VDFLL": (16.5, 17.5, 18.5),
         **dict.fromkeys(INS, _INS_BLOCKED),
     },
     "4 blocked": {
-        "VDFLL": (17.0, 18.0, 19.0, 20.0),
+        "VDFLL": (16.5, 17.5, 18.5, 19.5),
         **dict.fromkeys(INS, _INS_BLOCKED),
     },
     "6 blocked": {
-        "scalar": _LOOPS[1:], "scalar-ins": _LOOPS[1:], "VDFLL": (18.0, 19.0, 20.0, 21.0),
+        "scalar": _LOOPS[1:], "scalar-ins": _LOOPS[1:], "VDFLL": (17.0, 18.0, 19.0, 20.5),
         **dict.fromkeys(INS, _INS_BLOCKED),
     },
 }  # fmt: skip

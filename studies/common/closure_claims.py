@@ -8,30 +8,16 @@ from dataclasses import replace
 import numpy as np
 import xarray as xr
 
-from common.closure_cells import BLOCKED, INS, OUTAGES_S
-from common.closure_measures import Found, middle, spread, useful
+from common.closure_cells import INS
+from common.closure_event_claims import blocked, jumps, returned
+from common.closure_measures import WITHIN_DB, Found, averaged, pair, useful
 from common.ledger import Claim, Must, Quantity
-from common.statistics import interval, number, typical
+from common.statistics import number, typical
 from common.thresholds import gap, threshold
 
 LASHLEY = "Lashley, Bevly & Hung, PLANS 2010, equivalent loops"
 THEIRS_DB = {11: 6.2, 5: 2.4}
-WITHIN_DB, PREDICTED_DB = 1.5, 2.0
-COMMON = 4
-"""Unknowns that channels share: three of velocity and the clock's drift"""
-Cells = Mapping[tuple[str, str], xr.DataArray]
-
-
-def pair(cells: Cells, a: tuple[str, str], b: tuple[str, str], name: str,
-         must: Must | None = None) -> Quantity:  # fmt: skip
-    """Difference of the thresholds of two cells."""
-    q = gap({"a": cells[a], "b": cells[b]}, "a", "b", must)
-    return replace(q, name=name)
-
-
-def averaged(satellites: int) -> float:
-    """What averaging equal channels over `COMMON` unknowns wins [dB]."""
-    return float(10.0 * np.log10(satellites / COMMON))
+PREDICTED_DB = 2.0
 
 
 def vector_gain(f: Found, bench: Mapping[str, xr.DataArray], satellites: int) -> Claim:
@@ -56,9 +42,9 @@ def vector_gain(f: Found, bench: Mapping[str, xr.DataArray], satellites: int) ->
             threshold("VDFLL", f.lost[motion, "VDFLL"]),
         ),
         change="equivalent as `common/closure_bench.py` says; the paper's loops are others",
-        why="channels share four unknowns: averaging over them is worth 10 lg(n/4), and the "
-        "filter narrows itself with the noise; receivers gain more, as the scalar one's indicator "
-        "gives channels up that its loop still holds",
+        why="four unknowns shared are worth 10 lg(n/4), and the filter narrows itself with the "
+        "noise; receivers gain more: the scalar one's indicator gives channels up 5 dB above where "
+        "its loop alone would, the VDFLL judges a channel by its C/N0",
     )  # fmt: skip
 
 
@@ -153,8 +139,8 @@ def errors(f: Found) -> list[Claim]:
             theirs="at 35 dB-Hz, uniform motion",
             ours=tuple(ratio("jump", "scalar", c, more) for c in (*INS, "scalar-ins")),
             target=True,
-            why="the INS averages over seconds; a Costas phase turns a PLL's Doppler into "
-            "velocities that the differential form does not have",
+            why="not the differential form: it sees only the turn of a phase within a bit, a PLL "
+            "the phase; federated lines are longer, the coherent form has phase and INS",
         ),
         Claim(
             id="closures-velocity-vector",
@@ -174,164 +160,6 @@ def errors(f: Found) -> list[Claim]:
             target=True,
             why="code noise is averaged over the whole run where velocity ties epochs together; "
             "a scalar receiver solves each epoch anew",
-        ),
-    ]  # fmt: skip
-
-
-def jumps(f: Found) -> list[Claim]:
-    """10 g for 5 s."""
-    jump, hard = "jump", "jump, 3000 ppm"
-    best = f.lost[jump, "scalar"].max("cn0_dbhz") * 0.0 + f.lost[jump, "scalar"].isel(cn0_dbhz=-1)
-    share = interval("PLL 18 Hz, share lost at 42 dB-Hz", best.values,
-                     lambda drawn: drawn.mean(axis=-1), "", Must("above", 0.1))  # fmt: skip
-    near = Must("within", (-1.0, 1.0))
-    return [
-        Claim(
-            id="closures-jump",
-            claim="A 10 g jump takes the default PLL's lock at any C/N0, and costs an INS-aided "
-            "one no threshold",
-            source="this project",
-            theirs="stress of a step of 515 Hz/s in a loop of 18 Hz against the aid's residual",
-            ours=(
-                share,
-                pair(f.lost, (jump, "scalar-ins"), ("uniform", "scalar-ins"),
-                     "scalar-ins, jump − uniform", near),
-                pair(f.lost, (hard, "scalar-ins"), ("uniform", "scalar-ins"),
-                     "the same with 3000 ppm", near),
-                threshold("PLL 50 Hz, 2 ms", f.lost[jump, "scalar, 50 Hz"]),
-                pair(f.lost, (jump, "VDFLL"), ("uniform", "VDFLL"), "VDFLL, jump − uniform"),
-                threshold("VDFLL", f.lost[jump, "VDFLL"]),
-            ),
-            target=True,
-            why="what is left of 98 m/s2 is scale factor and misalignment; without an IMU the "
-            "jump must come through the loop, or through the jerk that a vector filter allows",
-        ),
-        Claim(
-            id="closures-jump-tight",
-            claim="No closure with an INS inside loses a replica in the jump, with 3000 ppm or not",
-            source="this project",
-            theirs="3000 ppm of 98 m/s2 are 8 Hz after 5 s",
-            ours=tuple(
-                number(f"{c}, {m}: largest share lost", float(f.lost[m, c].mean("run").max()),
-                       Must("below", 0.1))
-                for m in (jump, hard) for c in INS
-            ),
-            target=True,
-            why="25 Hz are 4.8 m/s: the INS alone would do; what differs is the velocity error",
-        ),
-        Claim(
-            id="closures-fading",
-            claim="With 3000 ppm the fading filter has the smaller velocity error than the QKF",
-            source="Xu et al. 2017, and study `velocity_jumps`",
-            theirs="at 26 dB-Hz here",
-            ours=tuple(
-                typical(f"{m}: QKF / FIQKF-R, {model}", _ratio(f, m, model), "",
-                        Must("above", 1.0, "low") if m == hard else None)
-                for m in (jump, hard) for model in "CD"
-            ),
-            change="regularised fading; a tactical IMU",
-            why="the scale factor is the error that fading is for; at low C/N0 its price is noise",
-        ),
-    ]  # fmt: skip
-
-
-def _ratio(f: Found, motion: str, model: str) -> np.ndarray:
-    at = [f.velocity[motion, c].sel(cn0_dbhz=26.0).values
-          for c in (f"ultra-tight {model}", f"{model}, FIQKF-R")]  # fmt: skip
-    return np.asarray(at[0] / at[1])
-
-
-def blocked(f: Found) -> list[Claim]:
-    """Eight seconds without two, four, six of eleven satellites."""
-    costs = []
-    for n in BLOCKED:
-        expected = averaged(11) - averaged(11 - n)
-        must = Must("within", (expected - WITHIN_DB, expected + WITHIN_DB))
-        costs.append(pair(f.lost, (f"{n} blocked", "VDFLL"), ("uniform", "VDFLL"),
-                          f"{n} blocked ({expected:.1f} dB)", must))  # fmt: skip
-    six = "6 blocked"
-
-    def there(closure: str, must: Must | None) -> Quantity:
-        share = f.back[six, closure].isel(cn0_dbhz=-1)
-        level = float(share["cn0_dbhz"])
-        return interval(f"{closure}, {level:g} dB-Hz", share.values,
-                        lambda drawn: drawn.mean(axis=-1), "", must)  # fmt: skip
-
-    return [
-        Claim(
-            id="closures-blocked",
-            claim="Satellites that are blocked cost the VDFLL what averaging loses",
-            source="this project",
-            theirs="10 lg(11/(11 − n)), within 1.5 dB",
-            ours=(*costs, *(threshold(f"VDFLL, {n} blocked", f.lost[f"{n} blocked", "VDFLL"])
-                            for n in BLOCKED)),
-            target=True,
-            why="the others' loops are as narrow as before; geometry counts beside their number",
-        ),
-        Claim(
-            id="closures-blocked-scalar",
-            claim="Blocked satellites cost scalar loops nothing on the others",
-            source="this project",
-            theirs="threshold as in uniform motion within 0.5 dB",
-            ours=tuple(pair(f.lost, (six, c), ("uniform", c), c, Must("within", (-0.5, 0.5)))
-                       for c in ("scalar", "scalar-ins")),
-            target=True,
-            why="channels know nothing of each other",
-        ),
-        Claim(
-            id="closures-blocked-back",
-            claim="Of six satellites blocked for 8 s all are back 6 s later where channels share a "
-            "state",
-            source="this project",
-            theirs="95 % at the highest level flown",
-            ours=(*(there(c, Must("above", 0.95)) for c in ("VDFLL", *INS)),
-                  *(there(c, None) for c in ("scalar", "scalar-ins"))),
-            target=True,
-            why="five satellites and the INS keep the replicas of the others where they belong; "
-            "a scalar channel has to search",
-        ),
-    ]  # fmt: skip
-
-
-def returned(f: Found) -> list[Claim]:
-    """Outages of all satellites."""
-    at = {c: t.sel(cn0_dbhz=40.0) for c, t in f.outages.items()}
-    long = f"{OUTAGES_S[-1]:g}"
-    return [
-        Claim(
-            id="closures-outage-ins",
-            claim="After 30 s without any satellite closures with an INS inside are at once on all "
-            "their signals",
-            source="this project",
-            theirs="worst channel within 0.5 s at 40 dB-Hz",
-            ours=tuple(number(f"{c}, worst", spread(at[c].sel(outage=long))[1],
-                              Must("below", 0.5), "s") for c in INS),
-            target=True,
-            why="the tactical INS and the TCXO drift by less than 4.8 m/s and 147 m in 30 s",
-        ),
-        Claim(
-            id="closures-outage-scalar",
-            claim="Scalar loops need more than a second to be back, INS-aided ones less",
-            source="this project",
-            theirs="median over channels, 40 dB-Hz",
-            ours=tuple(
-                middle(f"{c}, {s:g} s outage", at[c].sel(outage=f"{s:g}"), must)
-                for c, must in (("scalar", Must("above", 1.0)), ("scalar-ins", Must("below", 1.0)))
-                for s in OUTAGES_S
-            ),
-            target=True,
-            why="once lost a channel pulls in from where it stands, and its frequency has wandered "
-            "on noise",
-        ),
-        Claim(
-            id="closures-outage-vector",
-            claim="A VDFLL is back within a second of outages of 1 and 3 s",
-            source="this project",
-            theirs="median over channels, 40 dB-Hz",
-            ours=tuple(middle(f"VDFLL, {s:g} s outage", at["VDFLL"].sel(outage=f"{s:g}"),
-                              Must("below", 1.0) if s <= 3.0 else None) for s in OUTAGES_S),
-            target=True,
-            why="its state flies on along the last acceleration, whose error grows as t squared",
         ),
     ]  # fmt: skip
 
@@ -374,8 +202,9 @@ def predictions(f: Found) -> Claim:
         theirs="lost: off the signal by the truth, or declared lost",
         ours=tuple(ours),
         target=True,
-        why="jitter and indicators of a linear closure in its steady state; slips, pull-in and the "
-        "nonlinear end are not in it",
+        why="a linear closure in its steady state: slips and pull-in are not in it; the coherent "
+        "form falls back first and is then declared lost as the differential one, and a scale "
+        "factor takes a coherent phase long before a replica",
     )
 
 

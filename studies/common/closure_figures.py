@@ -24,7 +24,9 @@ WITHIN_DB = 2.0
 
 def losses(f: Found) -> Figure:
     """A panel per motion: by the truth in full, by a closure's own indicator thin and pale."""
-    motions = [m for m in MOTIONS if any(cell[0] == m for cell in f.lost) and m != "jump, 3000 ppm"]
+    motions = [
+        m for m in MOTIONS if any(cell[0] == m for cell in f.either) and m != "jump, 3000 ppm"
+    ]
     page = Figure(figsize=(7.5, 1.6 + 1.9 * -(-len(motions) // 2)), layout="constrained")
     axes = page.subplots(-(-len(motions) // 2), 2, sharex=True, sharey=True, squeeze=False)
     for ax in axes.flat[len(motions) :]:
@@ -105,6 +107,7 @@ def outages(times: Mapping[str, xr.DataArray]) -> Figure:
         ax.tick_params(labelsize=7.0)
     names = next(iter(times.values()))["outage"].values
     ax.set_xticks(range(len(names)), [f"{x} s" for x in names])
+    ax.set_xlim(-0.5, len(names) - 0.5)
     ax.set_xlabel("outage of all satellites", fontsize=SMALL)
     _legend(page, list(times))
     page.suptitle("From the end of an outage until a replica is on its signal for good: median "
@@ -135,7 +138,7 @@ def predictions(f: Found) -> Figure:
         ends += [x, q.value]
         ax.errorbar(x, q.value, ([q.value - q.low], [q.high - q.value]), color=LOOK[name][0],
                     marker=markers[motion], markersize=5.0, linestyle="", capsize=2.0,
-                    elinewidth=0.8)  # fmt: skip
+                    elinewidth=0.8, markerfacecolor=_inside(name))  # fmt: skip
     span = np.array([min(ends) - 2.0, max(ends) + 2.0])
     ax.plot(span, span, color="black", linewidth=0.8)
     ax.fill_between(span, span - WITHIN_DB, span + WITHIN_DB, color="black", alpha=0.08,
@@ -150,8 +153,14 @@ def predictions(f: Found) -> Figure:
     handles = [ax.plot([], [], m, color="grey", label=k)[0] for k, m in markers.items()]
     ax.legend(handles=handles, fontsize=7.0, loc="upper left")
     names = [n for n in SHOWN if any(cell[1] == n for cell in f.predicted)]
-    lines = [ax.plot([], [], "o", color=LOOK[n][0], label=n)[0] for n in names]
+    lines = [ax.plot([], [], "o", color=LOOK[n][0], markerfacecolor=_inside(n), label=n)[0]
+             for n in names]  # fmt: skip
     page.legend(handles=lines, loc="outside lower center", ncols=4, fontsize=7.0)
     page.suptitle("`ultratight predict` beside flights: C/N0 at which 10 % are lost, by the truth "
                   "or declared; band: 2 dB", fontsize=SMALL)  # fmt: skip
     return page
+
+
+def _inside(name: str) -> str:
+    """Hollow where another closure has the colour."""
+    return LOOK[name][0] if name in MAIN else "white"

@@ -7,7 +7,9 @@ indicators say stands beside it.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -26,10 +28,13 @@ from common.closure_cells import (
 )
 from common.ledger import Must, Quantity
 from common.statistics import interval
-from common.thresholds import crossing
+from common.thresholds import crossing, gap
 from ultratight.prediction import predict
 from ultratight.scenario import Unsupported
 
+WITHIN_DB = 1.5
+COMMON = 4
+"""Unknowns that channels share: three of velocity and the clock's drift"""
 USEFUL = 0.5
 """An ultra-tight closure still uses its signals while its velocity error is below so much of what
 the INS alone, which flies on, has"""
@@ -37,17 +42,21 @@ the INS alone, which flies on, has"""
 FAR = 100.0
 
 
-class Found(NamedTuple):
-    """All that the claims look at; `Cell` is (motion, closure)."""
+Cell = tuple[str, str]
+"""Motion, closure"""
 
-    lost: dict[tuple[str, str], xr.DataArray]
+
+class Found(NamedTuple):
+    """All that the claims look at."""
+
+    lost: dict[Cell, xr.DataArray]
     """By the truth, of the channels that are never blocked (cn0_dbhz, run)"""
-    own: dict[tuple[str, str], xr.DataArray]
+    own: dict[Cell, xr.DataArray]
     """By the closures' own indicators"""
-    either: dict[tuple[str, str], xr.DataArray]
-    back: dict[tuple[str, str], xr.DataArray]
+    either: dict[Cell, xr.DataArray]
+    back: dict[Cell, xr.DataArray]
     """Of the blocked ones, those on their signal at the end"""
-    velocity: dict[tuple[str, str], xr.DataArray]
+    velocity: dict[Cell, xr.DataArray]
     """R.m.s. error after `SETTLED_S` [m/s]"""
     errors: dict[str, xr.Dataset]
     outages: dict[str, xr.DataArray]
@@ -55,7 +64,7 @@ class Found(NamedTuple):
     alone: np.ndarray
     """Velocity error of the INS alone (run,) [m/s]"""
     samples: xr.Dataset
-    predicted: dict[tuple[str, str], float]
+    predicted: dict[Cell, float]
 
 
 def numbered(ds: xr.Dataset) -> xr.Dataset:
@@ -121,7 +130,7 @@ def collect(study: Study) -> Found:
     return of._replace(alone=alone, samples=samples)
 
 
-def _thresholds(of: Found, cell: tuple[str, str], ds: xr.Dataset) -> None:
+def _thresholds(of: Found, cell: Cell, ds: xr.Dataset) -> None:
     seen, hidden = heard(ds, cell[0])
     if cell[0] == "uniform" and cell[1].startswith("scalar"):
         five = [f"G{p:02d}:L1CA" for p in FIVE]
@@ -173,3 +182,16 @@ def middle(name: str, times: xr.DataArray, must: Must | None = None) -> Quantity
                                   method="inverted_cdf"),
         "s", must,
     )  # fmt: skip
+
+
+def pair(
+    cells: Mapping[Cell, xr.DataArray], a: Cell, b: Cell, name: str, must: Must | None = None
+) -> Quantity:
+    """Difference of the thresholds of two cells."""
+    q = gap({"a": cells[a], "b": cells[b]}, "a", "b", must)
+    return replace(q, name=name)
+
+
+def averaged(satellites: int) -> float:
+    """What averaging equal channels over `COMMON` unknowns wins [dB]."""
+    return float(10.0 * np.log10(satellites / COMMON))
