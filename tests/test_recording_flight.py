@@ -223,6 +223,9 @@ def test_the_command_says_and_writes_it(
     text = track("--closure", "vdfll", "--quiet").out.splitlines()
     assert any(t.startswith("vdfll: took over at ") and "8 satellites, 1 sigma" in t for t in text)
     assert "lost lock: never" in text
+    said = track("--closure", "scalar", "--quiet")  # channel loops have no covariance
+    assert (said.code, "lost lock: " in said.out) == (0, True)
+    assert "m above the ellipsoid" in said.out.splitlines()[-1]
 
 
 TIGHT, VECTOR = ("--closure", "ultra-tight"), ("--closure", "vdfll")

@@ -152,11 +152,13 @@ def lines(of: dict[str, Any]) -> list[str]:
     ]
     last, sigma = of["last"], of["last_sigma"]
     if last:
-        doubt = f"  1 sigma {sigma['position_m']:.2g} m, {sigma['velocity_mps']:.2g} m/s"
+        doubt = ""
+        if sigma:  # channel loops have none
+            doubt = f"  1 sigma {sigma['position_m']:.2g} m, {sigma['velocity_mps']:.2g} m/s"
         out.append(
             f"{last['utc']}  {last['lat_deg']:.7f} deg  {last['lon_deg']:.7f} deg  "
             f"{last['height_m']:.2f} m above the ellipsoid  {last['speed_mps']:.2f} m/s"
-            f"{doubt if sigma else ''}"
+            f"{doubt}"
         )
     return out
 

@@ -50,6 +50,8 @@ if TYPE_CHECKING:
     from ultratight.tracking.navigation import Navigation
 
 _SHOWN_BITS = 30
+TWO_BITS_S = 0.041
+"""The fewest that show where bits begin, and a code period that is not whole"""
 
 
 def track(
@@ -147,6 +149,11 @@ def track(
         if not 0.0 < duration < 1e6:
             raise ValueError(f"--duration: {duration:g} given, expected more than 0 s")
         end = min(end, first + round(duration * recording.sample_rate_hz))
+    if (end - first) / recording.sample_rate_hz < TWO_BITS_S:
+        raise ValueError(
+            f"{file}: {1e3 * (end - first) / recording.sample_rate_hz:.3g} ms to track, expected "
+            f"at least {1e3 * TWO_BITS_S:g} ms, two data bits"
+        )
     planned = None
     given = {"--imu": imu, "--imu-grade": grade, "--filter": filter_, "--attitude": attitude,
              "--take-over": take_over, "--set": changes}  # fmt: skip
