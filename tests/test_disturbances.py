@@ -146,3 +146,16 @@ def test_a_sector_blocks_those_that_stand_in_it() -> None:
 def test_sectors_without_an_inside_are_refused(key: str, value: list[float], expected: str) -> None:
     with pytest.raises(ValueError, match=rf"channel\.disturbance\[0\]\.{key}.*{expected}"):
         flown({"t0_s": 0.0, "cn0_change_db": -45.0, key: value})
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_signals_that_come_back_do_not_throw_the_filter_off(seed: int) -> None:
+    """Four seconds without any: what returns is weighed by its own power, not by what had sunk.
+
+    Before, the first symbols looked like errors of radians, and the fading filter lost all ten.
+    """
+    away = {"t0_s": 4.0, "t1_s": 8.0, "cn0_change_db": -45.0}
+    keys = {"duration_s": 12.0, "cn0_dbhz": 40.0, "receiver.filter": "fiqkf-r"}
+    flight = run(load("uniform", keys | {"profile": [], "channel.disturbance": [away]}), seed)
+    assert flight.summary["converged"]
+    assert set(flight.summary["off_carrier_s"].values()) == {None}

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.stats import ncx2
 
 from signals.codes import GPS_L1CA
 from signals.constants import C_MPS, CA_CHIP_RATE_HZ, GPS_L1_HZ, OMEGA_EARTH
@@ -12,7 +13,7 @@ from ultratight.tracking.channels import channels
 from ultratight.tracking.code_model import HALF, OFFSET, code_rows
 from ultratight.tracking.code_model import SPACING as SPACING_COLUMN
 from ultratight.tracking.half_bits import Bits, HalfBits
-from ultratight.tracking.measurements import Amplitudes, measure
+from ultratight.tracking.measurements import AMPLITUDE2_FLOOR, Amplitudes, is_back, measure
 from ultratight.tracking.steering import new_steering
 from ultratight.tracking.tap_model import TapModel
 
@@ -258,3 +259,20 @@ def test_amplitude_follows_the_power_of_the_prompts():
     measure(paired, LEVEL, T_S, 17, 17, *CODE, SPACING, 0.0, memory, data)
     assert memory.amplitude2[0] == pytest.approx(100.0 + 0.02 * (25.0 - 2.0 - 100.0))
     assert memory.prompt[0] == -(3.0 + 9.0j)
+
+
+def test_a_signal_that_is_back_is_measured_in_its_own_scale_at_once():
+    """From the floor, as after an outage: the in-phase number of 35 dB-Hz is 1, not A^2 / 0.5."""
+    memory = Amplitudes(np.array([AMPLITUDE2_FLOOR]), np.zeros(1, complex))
+    found = measure(bits(taps(0.0, 0.0)), LEVEL, T_S, 17, 17, *CODE, SPACING, 0.0, memory)
+    assert found.z[0, 0] == pytest.approx(1.0, abs=0.05)
+    assert memory.amplitude2[0] == pytest.approx(A2, rel=0.05)
+
+
+@pytest.mark.parametrize("a2", [0.5, 2.0, 20.0, 200.0, 2000.0])
+def test_noise_passes_for_a_return_less_than_once_in_ten_million_symbols(a2):
+    """Twice the power plus 4 is chi-square with 4 degrees of freedom, noncentrality 2 A^2."""
+    powers = a2 + np.linspace(0.0, 10.0 * np.sqrt(2.0 * a2 + 2.0) + 60.0, 20_001)
+    limit = powers[int(np.argmax([is_back(p, a2) for p in powers]))]
+    assert ncx2.sf(2.0 * limit + 4.0, 4, 2.0 * a2) < 1e-7
+    assert limit < a2 + 8.0 * np.sqrt(2.0 * a2 + 2.0) + 14.0

@@ -53,6 +53,8 @@ from ultratight.tracking.tap_model import TapModel
 AMPLITUDE_GAIN = 0.02
 """Share of each bit in the running A^2: a time constant of 1 s"""
 AMPLITUDE2_FLOOR = 0.5
+BACK_SIGMAS, BACK_MORE = 6.0, 12.0
+"""Noise, whose power has a longer tail than a Gaussian's, exceeds both with 2e-8 at most"""
 NO_BITS = np.zeros((0, 0), dtype=np.int8)
 
 
@@ -150,6 +152,9 @@ def measure_into(
     R[:] = 0.0
     for b in range(channel.size):
         i = channel[b]
+        power = _power(iq[b])
+        if is_back(power, amplitude2[i]):
+            amplitude2[i] = power
         for k in range(params.shape[1]):
             params[b, k] = codes[i, k]
         params[b, OFFSET] = span[b, RANGE]
@@ -180,10 +185,25 @@ def measure_into(
             prompt[i] = data * (iq[b, 0, PROMPT] + iq[b, 1, PROMPT])
     for b in range(channel.size):
         i = channel[b]
-        power = 0.5 * (_norm2(iq[b, 0, PROMPT]) + _norm2(iq[b, 1, PROMPT])) - 2.0
-        follow = amplitude2[i] + AMPLITUDE_GAIN * (power - amplitude2[i])
+        follow = amplitude2[i] + AMPLITUDE_GAIN * (_power(iq[b]) - amplitude2[i])
         amplitude2[i] = max(follow, AMPLITUDE2_FLOOR)
     return -1
+
+
+@borrowing
+def _power(iq: np.ndarray) -> float:
+    """A^2 by the two prompts of a symbol; its variance is 2 A^2 + 2."""
+    return 0.5 * (_norm2(iq[0, PROMPT]) + _norm2(iq[1, PROMPT])) - 2.0
+
+
+@borrowing
+def is_back(power: float, amplitude2: float) -> bool:
+    """Whether a symbol has so much more power than A^2 that a signal has come back.
+
+    In the scale of an amplitude that has sunk while it was away its first symbols would look like
+    errors of many radians.
+    """
+    return power > amplitude2 + BACK_SIGMAS * math.sqrt(2.0 * amplitude2 + 2.0) + BACK_MORE
 
 
 @borrowing
