@@ -125,10 +125,17 @@ def acquire(
 
 def warnings_of(recording: Recording, row: Signal, rows: Sequence[Acquisition]) -> list[str]:
     """What is odd about the samples, also to stderr."""
-    from ultratight.tracking.acquisition import misfit
+    from ultratight.tracking.acquisition import Misfit, alike, misfit
 
     lines = _clipped(recording)
-    wrong = misfit(recording, row, rows)
+    same = alike(row, rows)
+    if same:
+        lines.append(
+            f"{recording.name}: {same} of {sum(r.found for r in rows)} satellites share a Doppler "
+            f"modulo {0.5 * row.chip_rate_hz / row.length_chips:g} Hz: one strong signal or line "
+            "seen through all codes; are --format, --rate and --if-hz right?"
+        )
+    wrong = Misfit(False, 0.0) if same else misfit(recording, row, rows)
     if wrong.inverted:
         lines.append(f"{recording.name}: {_INVERTED}; try --conjugate, or without it")
     if wrong.offset_hz:

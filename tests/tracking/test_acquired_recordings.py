@@ -8,6 +8,8 @@ ephemerides of 2022-01-01 say what stood above Tokyo, where two of the recording
 
 from __future__ import annotations
 
+import json
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -16,12 +18,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
+from signals.codes import GPS_L1CA
 from signals.constants import C_MPS, GPS_L1_HZ
 from signals.recording import Recording
 from signals.rinex import read_navigation
 from ultratight.ins.earth import ecef_from_geodetic
 from ultratight.statistics import wilson
-from ultratight.tracking.acquisition import Search, acquire
+from ultratight.tracking.acquisition import Search, acquire, alike
 
 DATA = Path(__file__).parents[3] / "shared" / "data"
 pytestmark = pytest.mark.skipif(
@@ -132,6 +135,44 @@ def test_the_same_are_there_at_the_end() -> None:
         predicted = a.code_phase_chips + 1.023e6 * (1.0 + a.doppler_hz / GPS_L1_HZ) * t
         away = (b.code_phase_chips - predicted + 511.5) % 1023.0 - 511.5
         assert away == pytest.approx(0.0, abs=0.25)
+
+
+@pytest.mark.parametrize("name", SKIES)
+def test_satellites_that_are_there_share_no_doppler(name: str) -> None:
+    assert alike(GPS_L1CA, acquire(opened(name))) == 0
+
+
+WRONG = [
+    ("codc_bladerf_l1_5MHz_ishort.dat", {"if_hz": 20e3}),
+    ("codc_bladerf_l1_5MHz_ishort.dat", {"if_hz": -100e3}),
+    ("codc_bladerf_l1_5MHz_ishort.dat", {"sample_format": "ci8"}),
+    ("L1_20211202_084700_4MHz_IQ.bin", {"sample_format": "ci16"}),
+]
+
+
+@pytest.mark.parametrize(("name", "wrong"), WRONG)
+def test_a_wrong_description_that_finds_many_is_told(
+    name: str, wrong: dict[str, Any], say: Callable[..., Any]
+) -> None:
+    """One satellite of 54 dB-Hz, or a line at 0, comes through the codes of satellites not there.
+
+    At the wrong IF the one seen is PRN 27: -861 Hz are 139 modulo 500.
+    """
+    how = SKIES[name].how | wrong
+    options = {"sample_format": "--format", "sample_rate_hz": "--rate", "if_hz": "--if-hz"}
+    words = [word for key, option in options.items() for word in (option, how[key])]
+    said = say("acquire", DATA / "iq" / name, *words, "--json")
+    told = json.loads(said.out)
+    (line,) = [w for w in told["warnings"] if "share a Doppler modulo 500 Hz" in w]
+    assert f"warning: {line}" in said.err
+    n, of = int(line.split()[1]), len(told["found"])
+    assert f" {n} of {of} satellites" in line
+    at = 139.0 if "if_hz" in wrong else 0.0
+    rest = [
+        (s["doppler_hz"] - at + 250.0) % 500.0 - 250.0 for s in told["satellites"] if s["found"]
+    ]
+    assert n <= sum(abs(r) < 4.0 for r in rest)
+    assert n >= 0.6 * of
 
 
 def alarms(name: str, blocks: int, false_alarm: float) -> tuple[int, int]:

@@ -155,6 +155,27 @@ def test_nothing_is_said_of_what_cannot_be_told() -> None:
     assert acquisition.misfit(short, GPS_L1CA, rows) == (False, 0.0)
 
 
+@pytest.mark.parametrize(
+    ("agree", "of", "said"),
+    [(3, 3, 0), (4, 4, 4), (4, 9, 0), (5, 9, 5), (5, 20, 0), (6, 20, 6), (0, 0, 0), (1, 1, 0)],
+)
+def test_a_doppler_modulo_500_hz_is_shared_by_more_than_chance(
+    agree: int, of: int, said: int
+) -> None:
+    """N C(N - 1, n - 1) 0.008^(n - 1), to first order, on the two sides of 1e-4.
+
+    1.9e-4, 2.0e-6; 2.6e-4, 2.6e-6; 3.2e-4, 7.6e-6.  The others stand 20 Hz apart, and agreeing
+    Dopplers lie about 0, where the remainder wraps.
+    """
+    doppler = [500.0 * (-1) ** k * k + 0.6 * k - 1.0 for k in range(agree)]
+    doppler += [40.0 + 1020.0 * k for k in range(of - agree)]
+    rows = [
+        acquisition.Acquisition(1 + k, 0.0, d, 30.0, 2.0, 1.0, 0) for k, d in enumerate(doppler)
+    ]
+    absent = [acquisition.Acquisition(40 + k, 0.0, 0.0, 30.0, 0.5, 1.0, 0) for k in range(9)]
+    assert acquisition.alike(GPS_L1CA, [*rows, *absent]) == said
+
+
 def test_a_later_sample_has_a_later_code_phase() -> None:
     recording = sampled(SKY, 4e6, 0.06)
     n0 = 123_457

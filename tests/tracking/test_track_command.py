@@ -23,10 +23,10 @@ def sky(
     make_tracks: Callable[..., Tracks], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> tuple[object, ...]:
     """The command with a recording of noise, in which tracks of 29 s are found."""
-    noise = 20.0 * np.random.default_rng(1).standard_normal((4000, 2))
+    noise = 20.0 * np.random.default_rng(1).standard_normal((105_000, 2))  # 42 ms
     np.rint(noise).astype(np.int8).tofile(tmp_path / "sky.bin")
     of = make_tracks(29.0, code_noise_m=1.2)
-    rows = [Acquisition(int(p), 0.0, 0.0, 45.0, 10.0, 1.0, 0) for p in of.prn]
+    rows = [Acquisition(int(p), 0.0, 37.0 * p, 45.0, 10.0, 1.0, 0) for p in of.prn]
     monkeypatch.setattr(acquisition, "acquire", lambda *_: rows)
     monkeypatch.setattr(acquisition, "misfit", lambda *_: acquisition.Misfit(False, 0.0))
     monkeypatch.setattr(from_samples, "track", lambda *_: of)

@@ -42,6 +42,8 @@ _ON_AIR = {"L1CA": (*range(1, 33), *range(120, 159), *range(183, 207))}
 _SENSE_SIGMA = 0.2
 _OFFSET_SIGMAS, _OFFSET_HZ = 6.0, (700.0, 15e3)
 """Five of these are between right and undecided"""
+_ALIKE_HZ, _CHANCE = 4.0, 1e-4
+"""Dopplers that are the same, and how often satellites may be thought to share one by chance"""
 _FINE_S = 0.1
 """What is taken of a recording for the fine estimates, if it is that long"""
 
@@ -229,6 +231,27 @@ def misfit(source: IfSource, signal: Signal, rows: Sequence[Acquisition]) -> Mis
     least, most = max(_OFFSET_SIGMAS * s.offset_sigma_hz, _OFFSET_HZ[0]), _OFFSET_HZ[1]
     sure = least < abs(s.offset_hz) < most  # beyond, these are no satellites' codes
     return Misfit(False, s.offset_hz if sure else 0.0)
+
+
+def alike(signal: Signal, rows: Sequence[Acquisition]) -> int:
+    """How many of those found share a Doppler modulo half the code's rate; 0: no more than chance.
+
+    A code that repeats every T has a spectrum of lines 1 / T apart: one strong satellite, or a
+    line, comes through every other code at its own Doppler plus a multiple of 1 / T, and of
+    1 / (2 T) as bits leave half a turn per T open.  Satellites that are there have Dopplers that
+    are uniform modulo so little.  Of N, a given one then has n - 1 others within 4 Hz above it with
+    the binomial probability P(X >= n - 1), X of N - 1 trials of 4 Hz * 2 T each, and some one at
+    most N times that, which must be below 1e-4: 4 of 4, 5 of 9 or 6 of 20 for C/A codes.
+    """
+    from scipy.special import bdtrc  # slow to import
+
+    at = np.array([row.doppler_hz for row in rows if row.found])
+    if not at.size:
+        return 0
+    apart = 0.5 * signal.chip_rate_hz / signal.length_chips
+    n = int(((at - at[:, None]) % apart < _ALIKE_HZ).sum(axis=1).max())
+    chance = at.size * bdtrc(n - 2, at.size - 1, min(_ALIKE_HZ / apart, 1.0)) if n > 1 else 1.0
+    return n if chance < _CHANCE else 0
 
 
 class _Peak(NamedTuple):
