@@ -323,6 +323,18 @@ def test_a_trajectory_of_ones_own(make: Callable[..., Made], tmp_path: Path) -> 
     assert abs(np.angle(iq.mean())) < 0.01
 
 
+@pytest.mark.parametrize("imu", [True, False])
+def test_a_trajectory_with_an_imu_is_said_to_have_no_attitude(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], imu: bool
+) -> None:
+    path = tmp_path / "east.csv"
+    path.write_text("t_s,lat_deg,lon_deg,h_m\n" + "".join(f"{t},40,{t}e-4,0\n" for t in range(4)))
+    words = ["generate", "jump-1", "--trajectory", str(path), "--duration", "0.1", *FEW]
+    assert main([*words, "--out", str(tmp_path / "x"), *(["--imu"] if imu else [])]) == 0
+    err = capsys.readouterr().err
+    assert ("north-east-down of the first point; give track --attitude 0,0,0" in err) == imu
+
+
 def test_satellites_set_and_rise() -> None:
     """An hour: some are below the mask at one end and up at the other, and off meanwhile."""
     s = generate.scenario_for("static", ["constellation=nominal-24"], 3_600.0)

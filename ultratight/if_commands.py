@@ -20,6 +20,11 @@ from ultratight.options import (
     progress,
 )
 
+_NO_ATTITUDE = (
+    "a trajectory has no attitude: the IMU's body axes stay north-east-down of the first point; "
+    "give track --attitude 0,0,0"
+)
+
 
 def generate(
     source: Source,
@@ -44,13 +49,18 @@ def generate(
         float | None, typer.Option(metavar="X", help="noise in each value, in units of the file")
     ] = None,
     trajectory: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="positions over time (CSV)")
+        Path | None, typer.Option(metavar="FILE", help="positions over time (CSV), no attitude")
     ] = None,
     changes: Override = None,
     nav: Navigation = None,
     seed: Seed = 1,
     imu: Annotated[
-        bool, typer.Option("--imu", help="NAME.imu.csv too: what the scenario's IMU measures")
+        bool,
+        typer.Option(
+            "--imu",
+            help="NAME.imu.csv too: what the scenario's IMU measures; with --trajectory in axes "
+            "that stay north-east-down of the first point",
+        ),
     ] = False,
     fresh: Annotated[
         bool, typer.Option("--fresh", help="start anew: leave out what a cut short run has kept")
@@ -74,6 +84,8 @@ def generate(
         plan = files.plan(
             chosen, seed, out, duration_s=duration, form=form, rms=rms, fresh=fresh, imu=imu
         )
+        if imu and chosen.trajectory and not quiet:
+            print(_NO_ATTITUDE, file=sys.stderr)
         if plan.kept.seconds and not quiet:
             name = plan.places.samples.name
             print(f"{name}: goes on after {plan.kept.seconds} s", file=sys.stderr)
