@@ -32,6 +32,8 @@ BAD_VALUES = {
     "number for a list": (["imu.lever_arm_b_m=1"], "1 given, expected a list of 3 numbers"),
     "short duration": (["duration_s=3"], "duration_s = 3 (no profile at all: --set 'profile=[]')"),
     "unknown key": (["imu.lags_s=1"], "imu.lags_s: unknown key, did you mean lag_s?"),
+    "key with a prefix": (["receiver.pll_bandwidth=18"], "did you mean bandwidth_hz?"),
+    "key without unit": (["receiver.fll_bandwidth=2"], "did you mean fll_bandwidth_hz?"),
     "unknown table": (["antenna.gain_db=1"], "antenna: unknown key, expected one of name, title"),
     "unknown word": (["receiver.closure=loose"], 'receiver.closure: "loose" given, expected one'),
     "unknown filter": (["receiver.filter=ekf2"], 'receiver.filter: "ekf2" given, expected one of'),

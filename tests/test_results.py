@@ -151,6 +151,8 @@ def test_foreign_and_missing_files_are_named(tmp_path) -> None:
 def test_unknown_variable_lists_the_known(run: Run) -> None:
     with pytest.raises(KeyError, match="locked"):
         run["speed"]
+    with pytest.raises(KeyError, match=r"time is run\.t_s"):
+        run["t_s"]
 
 
 def test_wrong_number_of_axes() -> None:

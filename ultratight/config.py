@@ -348,7 +348,10 @@ def _problem(model: type[BaseModel], error: Mapping[str, Any]) -> str:
     if kind == "extra_forbidden":
         keys = _known_keys(model, location)
         given = str(location[-1])
-        near = difflib.get_close_matches(given, keys, 1) or [k for k in keys if given in k]
+        # first the longest key that is the given one but for its unit or a prefix of the given one
+        near = [k for k in keys if f"_{given}".endswith((f"_{k}", f"_{k.rpartition('_')[0] or k}"))]
+        near.sort(key=len, reverse=True)
+        near = near or difflib.get_close_matches(given, keys, 1) or [k for k in keys if given in k]
         hint = f"did you mean {near[0]}?" if near else f"expected one of {', '.join(keys)}"
         return f"{dotted(location)}: unknown key, {hint}"
     if (

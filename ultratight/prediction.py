@@ -30,6 +30,7 @@ CANNOT_KNOW = (
     "time near threshold: discriminators bend, loops slip above it or survive below it",
     "which IMU and clock errors a seed draws: those of the data sheet stand for them, at 1 sigma",
     "adaptive, fading and mixing filters: the threshold is that of a linear one",
+    "loss that spreads from one channel to others through the filter they share",
     "multipath, interference, atmosphere, faults; rotation of a long lever arm",
 )
 """What stands under every table"""

@@ -83,7 +83,8 @@ class Run:
         try:
             return self.variables[name].data
         except KeyError:
-            raise KeyError(f"{name}; this run has {', '.join(sorted(self.variables))}") from None
+            there = ", ".join(sorted(self.variables))
+            raise KeyError(f"{name}; this run has {there}; time is run.t_s") from None
 
     def __repr__(self) -> str:
         s = self.summary
