@@ -170,6 +170,22 @@ def test_bound_knows_what_is_free(common) -> None:
     assert acceleration == pytest.approx(0.016, rel=0.1)
 
 
+@pytest.mark.parametrize("quick", [True, False])
+def test_verdicts_of_a_quick_look_are_said_to_be_no_more(
+    common, quick: bool, tmp_path: Path, monkeypatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["toy.py", "--out", str(tmp_path / "toy"), *(["--quick"] if quick else [])]
+    monkeypatch.setattr(sys, "argv", words)
+    study = common("campaign").Study("toy.py", {})
+    ledger = common("ledger")
+    ours = ledger.Quantity("error", 1.0, 0.9, 1.1, "m", ledger.Must("below", 2.0))
+    study.conclude([ledger.Claim("toy-1", "a claim", "a source", "theirs", (ours,), "")])
+    said = capsys.readouterr().out
+    assert said == (tmp_path / "toy" / "report.txt").read_text()
+    before, _, after = said.partition("not those of the ledger")
+    assert ("a claim" in before, "a claim" in after) == (not quick, quick)
+
+
 @pytest.mark.parametrize("name", SCRIPTS)
 def test_scripts_say_what_they_cost_without_flying(name: str) -> None:
     began = time.monotonic()

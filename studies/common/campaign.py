@@ -144,6 +144,8 @@ class Study:
         }
         done = [replace(claim, **told) for claim in claims]
         self.say("")
+        if self.quick:
+            self.say("quick look: few runs and levels; these verdicts are not those of the ledger")
         for claim in done:
             row = claim.row()
             self.say(f"{row['verdict'].upper()}: {claim.claim}\n    theirs: {claim.theirs}")
