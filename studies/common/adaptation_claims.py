@@ -86,8 +86,8 @@ WHY = {
     ("no cause", "weights"): "as for R",
     ("power all", "R"): POWER,
     ("power all", "weights"): POWER,
-    ("power all", "Q"): "an amplitude that is lost, or returns, is a large innovation, taken for "
-    "motion",
+    ("power all", "Q"): "an amplitude that is lost is a large innovation, taken for motion; that "
+    "of a signal that returns is taken from its first symbol",
     ("power all", "R and Q"): "Q^ is wide at all times: the error is larger before, too",
     ("fault step", "R"): FAULT,
     ("fault step", "weights"): FAULT,
