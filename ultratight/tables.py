@@ -102,7 +102,8 @@ class Vector(Table):
     acceleration_tau_s: Annotated[float, Field(ge=0.1, le=1e6)] = 1.0
     """11 states: an acceleration that nobody measures fades with this time constant"""
     search_bits: Annotated[int, Field(ge=0, le=50)] = 2
-    """Channels that are lost search around the solution: data bits in a cell; 0: no search"""
+    """Channels that are lost search around the solution: least data bits in a cell (more, up to 25,
+    by the C/N0 that went; a channel that needs yet more waits at the centre); 0: no search"""
     search_false_alarm: Annotated[float, Field(ge=1e-12, le=0.1)] = 1e-4
     """Probability that a cell of the search is believed to hold a signal without one"""
 

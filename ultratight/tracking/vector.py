@@ -48,6 +48,7 @@ from ultratight.tracking.knows import Knows
 from ultratight.tracking.rows import Fields, Rows
 from ultratight.tracking.scalar import BIT_S, CODE_CHIPS, EPOCH_S, ScalarSettings, design
 from ultratight.tracking.steering import antenna, start
+from ultratight.tracking.vector_dwell import FOUND_ABOVE_DBHZ
 from ultratight.tracking.vector_faults import RETURN, Faults
 from ultratight.tracking.vector_measurements import (
     amplitude2_of,
@@ -60,14 +61,14 @@ from ultratight.tracking.vector_measurements import (
 from ultratight.tracking.vector_search import Search, agreeing
 from ultratight.tracking.vector_solution import (
     VectorSettings,
+    fields_of,
     steer_members,
     transition,
     uncertainty,
 )
 
-LOST_BELOW_DBHZ, FOUND_ABOVE_DBHZ = 13.0, 16.0
-"""Of the running C/N0, whose noise without a signal reaches 13 dB-Hz at 3 and 16 at 6 sigma"""
-UNITS = "products of m, m/s, m, m/s, m/s2"
+LOST_BELOW_DBHZ = 13.0
+"""Of the running C/N0, whose noise without a signal reaches it at 3 sigma"""
 
 
 class Vector:
@@ -122,8 +123,9 @@ class Vector:
         self.lost_at_s, self.first_lost_s = np.full(n, np.nan), np.full(n, np.nan)
         self.faults = Faults(n, settings.update_s)
         self.search = Search(
-            n, spacing_chips, settings.update_s, settings.search_bits, settings.search_false_alarm
-        )
+            self.bits.amplitude2, spacing_chips, settings.update_s, settings.search_bits,
+            settings.search_false_alarm,
+        )  # fmt: skip
         self.rule = get_rule("linearised")
         self.events: list[tuple[float, int, str, str]] = []
         self.diverged = False
@@ -195,11 +197,11 @@ class Vector:
         z, A, R, channel = z[:nb], A[:nb], R[:nb], channel[:nb]
         self._watch(channel, z)
         self._admit(channel, z, A, R, prior)
-        sigma = np.sqrt(np.einsum("cij,jk,cik->ci", A, prior.cov, A) + _diagonal(R))
+        sigma = np.sqrt(np.einsum("cij,jk,cik->ci", A, prior.cov, A) + np.diagonal(R, 0, 1, 2))
         counts = self.member & self.heard & ~self.search.held
-        told = self.faults.watch(
-            self.t_s, channel, z, sigma, A[:, 0, [0, 1, 2, 6]], counts, self.heard
-        )
+        self.search.remember(self.bits.amplitude2, counts)
+        line = A[:, 0, [0, 1, 2, 6]]
+        told = self.faults.watch(self.t_s, channel, z, sigma, line, counts, self.heard)
         use = (counts & ~self.faults.out)[channel]
         u = update(
             prior,
@@ -227,10 +229,12 @@ class Vector:
         """Who is heard, by the running C/N0 and with some hysteresis; z as it came."""
         a2 = self.bits.amplitude2
         lost = self.heard & (a2 < amplitude2_of(LOST_BELOW_DBHZ))
-        found = ~self.heard & (a2 > amplitude2_of(FOUND_ABOVE_DBHZ)) & ~self.search.looking
-        cn0 = cn0_of(a2)
+        found = ~self.heard & (a2 > amplitude2_of(FOUND_ABOVE_DBHZ))
+        found &= ~self.search.deaf & ~self.search.refused
         for i in np.flatnonzero(lost).tolist():
             self.heard[i] = False
+            if self.search.held[i]:  # never said to be back
+                continue
             self._lost(i, self.t_s)
             self._note(i, "loss of lock", f"C/N0 below {LOST_BELOW_DBHZ:g} dB-Hz: "
                        "steered by the vector solution")  # fmt: skip
@@ -238,12 +242,20 @@ class Vector:
                 self._return(i, "its own loops have lost the signal")
         for i in np.flatnonzero(found).tolist():
             self.heard[i] = True
-            after = self.t_s - self.lost_at_s[i]
-            row = np.flatnonzero(channel == i)
-            off = (
-                f", replica {z[row[0], 0]:+.1f} m, {z[row[0], 1]:+.2f} m/s off" if row.size else ""
-            )
-            self._note(i, "lock regained", f"C/N0 {cn0[i]:.1f} dB-Hz after {after:.2f} s{off}")
+            if self.search.looking[i]:
+                self.search.hold(i, self.t_s)
+                if not self.settings.carrier:
+                    self._seed(i, self.loops.loop_hz[i])
+            elif not self.search.held[i]:
+                self._regained(i, z[channel == i])
+
+    def _regained(self, i: int, z: np.ndarray) -> None:
+        """Say that channel i counts again, of which z (0 or 1, 2) was measured."""
+        after = self.t_s - self.lost_at_s[i]
+        off = f", replica {z[0, 0]:+.1f} m, {z[0, 1]:+.2f} m/s off" if len(z) else ""
+        self._note(
+            i, "lock regained", f"C/N0 {self.cn0_dbhz[i]:.1f} dB-Hz after {after:.2f} s{off}"
+        )
 
     def _search(self) -> None:
         """Let lost channels look around the solution; see `vector_search`."""
@@ -251,30 +263,38 @@ class Vector:
         if not (dark | self.search.held).any():
             return
         spread = uncertainty(self.t_s, self.knows.start_tow_s, self.x, self.sky.arcs, self.cov)
-        began, found = self.search.step(self.t_s, dark, spread)
+        began, anew = self.search.step(self.t_s, dark, spread)
         if not self.settings.carrier:
-            for i in began + found:
+            for i in began + anew:
                 self._seed(i, self.loops.loop_hz[i])
-        self.bits.amplitude2[found] = self.bits.step[found] = 0.0  # to be heard there by itself
+        self.bits.amplitude2[anew] = self.bits.step[anew] = 0.0  # to be heard there by itself
+        for i in began:
+            chips, hertz = np.sqrt(np.diagonal(spread[i]))
+            self._note(i, "search", f"begins: sigma {chips:.2f} chips, {hertz:.0f} Hz, "
+                       f"{self.search.dwell[i]} bits in a cell")  # fmt: skip
 
     def _admit(
         self, channel: np.ndarray, z: np.ndarray, A: np.ndarray, R: np.ndarray, prior: Gaussian
     ) -> None:
         """Those whom the search has found and who are heard join the solution, if they agree."""
         counting = int((self.heard & self.member & ~self.search.held).sum())
-        rows = np.flatnonzero(self.search.ready(self.t_s, self.heard, counting)[channel])
+        present = self.search.refused & (self.bits.amplitude2 > amplitude2_of(LOST_BELOW_DBHZ))
+        ready = self.search.ready(self.t_s, self.heard | present, counting)
+        rows = np.flatnonzero(ready[channel])
         if not rows.size:
             return
         keep = agreeing(z[rows], A[rows], R[rows], prior.cov)
         for i, agrees in zip(channel[rows].tolist(), keep.tolist(), strict=True):
             if agrees:
+                self.heard[i] = True
+                self._regained(i, z[channel == i])
                 self._note(i, "re-acquired", self.search.said(i, self.t_s))
                 self.search.release(i)
                 self.faults.clear(i)
             else:
                 self.heard[i] = False
-                self._lost(i, self.t_s)
-                self._note(i, "loss of lock", "search: what it found contradicts the solution")
+                if self.search.refuse(i):
+                    self._note(i, "search", "what it found contradicts the solution")
 
     def _lost(self, i: int, t_s: float) -> None:
         self.lost_at_s[i] = t_s
@@ -345,28 +365,7 @@ class Vector:
 
     def fields(self) -> Fields:
         """What is kept of each row of the history."""
-        channel = ((self.n_channel,), ("channel",))
-        k = self.x.size
-        own: Fields = {"a_eb_e": ((3,), ("xyz",), "m/s2", "estimated acceleration, ECEF")}
-        return {
-            "r_eb_e": ((3,), ("xyz",), "m", "estimated antenna position, ECEF"),
-            "v_eb_e": ((3,), ("xyz",), "m/s", "estimated antenna velocity, ECEF"),
-            "clock_m": ((), (), "m", "estimated receiver clock bias"),
-            "clock_rate": ((), (), "m/s", "estimated receiver clock drift"),
-            **(own if k > 8 else {}),
-            "covariance": ((k, k), ("vector_state", "vector_state_2"), UNITS,
-                           "covariance of the vector solution after the update"),
-            "nis": ((), (), "1", "normalised innovation squared (NIS) of the update"),
-            "n_measurement": ((), (), "1", "how many numbers were measured in the update"),
-            "lock_indicator": (*channel, "1", "running cosine of the turn in half a bit"),
-            "member": (*channel, "1", "1 steered by the vector solution, 0 by its own loops"),
-            "contributes": (*channel, "1", "1 where the channel counts in the solution"),
-            "search_chips": (*channel, "chips", "replica minus solution, of who searches"),
-            "search_hz": (*channel, "Hz", "replica minus solution, of who searches"),
-            "cn0": (*channel, "dB-Hz", "estimated C/N0"),
-            "prompt_i": (*channel, "standard deviations of the noise", "in-phase prompt, one bit"),
-            "prompt_q": (*channel, "standard deviations of the noise", "quadrature prompt"),
-        }  # fmt: skip
+        return fields_of(self.n_channel, self.x.size)
 
     def write(self, rows: Rows, k: int) -> None:
         """Write row k of each field."""
@@ -384,10 +383,6 @@ class Vector:
         rows["cn0"][k] = self.cn0_dbhz
         rows["prompt_i"][k] = self.bits.prompt.real
         rows["prompt_q"][k] = self.bits.prompt.imag
-
-
-def _diagonal(R: np.ndarray) -> np.ndarray:
-    return np.diagonal(R, axis1=1, axis2=2)
 
 
 def _identity(y: np.ndarray) -> np.ndarray:

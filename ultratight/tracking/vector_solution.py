@@ -10,6 +10,7 @@ from signals.compiled import kernel
 from signals.constants import C_MPS, CA_CHIP_RATE_HZ, GPS_L1_HZ
 from signals.propagation import predict_channels
 from ultratight.tracking.channel_state import CHIP_M, WAVELENGTH_M, Loops
+from ultratight.tracking.rows import Fields
 
 NODES, WEIGHTS = (0.5 * x for x in np.polynomial.legendre.leggauss(12))
 NODES = NODES + 0.5
@@ -29,6 +30,34 @@ class VectorSettings(NamedTuple):
     search_bits: int = 2
     search_false_alarm: float = 1e-4
     fall_back: bool = True
+
+
+UNITS = "products of m, m/s, m, m/s, m/s2"
+
+
+def fields_of(n_channel: int, k: int) -> Fields:
+    """What a vector closure of k states keeps of each row of the history."""
+    channel = ((n_channel,), ("channel",))
+    own: Fields = {"a_eb_e": ((3,), ("xyz",), "m/s2", "estimated acceleration, ECEF")}
+    return {
+        "r_eb_e": ((3,), ("xyz",), "m", "estimated antenna position, ECEF"),
+        "v_eb_e": ((3,), ("xyz",), "m/s", "estimated antenna velocity, ECEF"),
+        "clock_m": ((), (), "m", "estimated receiver clock bias"),
+        "clock_rate": ((), (), "m/s", "estimated receiver clock drift"),
+        **(own if k > 8 else {}),
+        "covariance": ((k, k), ("vector_state", "vector_state_2"), UNITS,
+                       "covariance of the vector solution after the update"),
+        "nis": ((), (), "1", "normalised innovation squared (NIS) of the update"),
+        "n_measurement": ((), (), "1", "how many numbers were measured in the update"),
+        "lock_indicator": (*channel, "1", "running cosine of the turn in half a bit"),
+        "member": (*channel, "1", "1 steered by the vector solution, 0 by its own loops"),
+        "contributes": (*channel, "1", "1 where the channel counts in the solution"),
+        "search_chips": (*channel, "chips", "replica minus solution, of who searches"),
+        "search_hz": (*channel, "Hz", "replica minus solution, of who searches"),
+        "cn0": (*channel, "dB-Hz", "estimated C/N0"),
+        "prompt_i": (*channel, "standard deviations of the noise", "in-phase prompt, one bit"),
+        "prompt_q": (*channel, "standard deviations of the noise", "quadrature prompt"),
+    }  # fmt: skip
 
 
 def transition(
