@@ -115,7 +115,7 @@ def test_a_recording_without_satellites_is_not_tracked(
         (("--integration-ms", "3"), "integration_s is 0.003: expected 1, 2, 4, 5, 10, 20 ms"),
         (("--bandwidth-hz", "200"), "bandwidth_hz is 200.0: expected at most 80"),
         (("--duration", "0"), "--duration: 0 given, expected more than 0 s"),
-        (("--duration", "0.03"), "30 ms to track, expected at least 41 ms, two data bits"),
+        (("--duration", "0.03"), "30 ms to track, expected at least 40 ms, two data bits"),
     ],
 )
 def test_one_line_for_what_cannot_be_tracked(

@@ -50,8 +50,8 @@ if TYPE_CHECKING:
     from ultratight.tracking.navigation import Navigation
 
 _SHOWN_BITS = 30
-TWO_BITS_S = 0.041
-"""The fewest that show where bits begin, and a code period that is not whole"""
+TWO_BITS_S = 0.04
+"""The fewest that show where bits begin"""
 
 
 def track(
