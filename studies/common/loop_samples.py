@@ -145,9 +145,6 @@ def _code_curves(
     return Curves(error, quiet[..., 0], formula, found.mean(axis=-1), sigma)
 
 
-CN0_KINDS = ("nwpr", "snv 20 ms", "m2m4 20 ms", "m2m4 1 ms")
-
-
 def cn0_bias(n: int) -> dict[str, np.ndarray]:
     """Estimates minus truth (level, run) of one second each, in lock, NaN for none [dB]."""
     n_channel = max(n // 4, 1)

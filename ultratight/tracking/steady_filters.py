@@ -7,13 +7,11 @@ motion that its model does not hold follows from the same gain.
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from ultratight.ins.error_state import ProcessNoise
-from ultratight.tracking.channel_state import WAVELENGTH_M
 from ultratight.tracking.kalman_loop import CHIPS_PER_CYCLE, transition_into
 from ultratight.tracking.vector_solution import VectorSettings, transition
 
@@ -206,8 +204,3 @@ def averaged_code(
     rows = np.hstack([-u, np.ones((len(u), 1))])
     known = np.diag(1.0 / first**2) + epochs * rows.T @ (rows / code_var[:, None])
     return sigma(np.linalg.inv(known), rows)
-
-
-def phase_var_m2(amplitude2: np.ndarray) -> np.ndarray:
-    """Of a coherent phase, in metres squared; A^2 = 2 T C/N0."""
-    return np.asarray((WAVELENGTH_M / (2.0 * math.pi)) ** 2 / amplitude2)
